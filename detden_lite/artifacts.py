@@ -1,0 +1,150 @@
+"""What is in data/: safetensors with a JSON sidecar, JSON records, and one manifest of SHA-256 sums that is always checked."""
+
+import hashlib
+import json
+import os
+import platform
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from safetensors import SafetensorError
+from safetensors.torch import load, save
+from torch import Tensor
+
+from detden_lite.defense.denoiser import Denoiser
+from detden_lite.defense.detector import Detector
+from detden_lite.defense.gruvae import GRUVAE
+from detden_lite.defense.pipeline import DetectAndDenoise
+from detden_lite.victims import Victim
+
+DATA = Path(os.environ.get("DETDEN_DATA", Path(__file__).resolve().parents[1] / "data"))
+
+
+class ArtifactError(Exception):
+    """A file of data/ is missing, altered, or not what it should be; the message says which and what to do."""
+
+
+def write_bytes(path: Path, content: bytes, root: Path = DATA) -> None:
+    """Write a file of data/ atomically and note its SHA-256 in the manifest of ``root``."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _replace(path, content)
+    manifest = _manifest(root) | {path.relative_to(root).as_posix(): hashlib.sha256(content).hexdigest()}
+    _replace(root / "manifest.json", (json.dumps(manifest, indent=1, sort_keys=True) + "\n").encode())
+
+
+def read_bytes(path: Path, root: Path = DATA) -> bytes:
+    """The content of a file of data/, if it is the one that the manifest promises.
+
+    Raises:
+        ArtifactError: if it is missing, not in the manifest, or altered.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise ArtifactError(f"{path} is missing; restore it with git, or make it anew with its recipe (see data/README.md)")
+    content = path.read_bytes()
+    expected = _manifest(root).get(path.relative_to(root).as_posix())
+    if expected is None:
+        raise ArtifactError(f"{path} is not in {root / 'manifest.json'}; it was not made by a recipe of this project")
+    if hashlib.sha256(content).hexdigest() != expected:
+        raise ArtifactError(f"{path} is truncated or altered (its SHA-256 is not the manifest's); restore it with git")
+    return content
+
+
+def save_tensors(path: Path, state: Mapping[str, Tensor], sidecar: Mapping, root: Path = DATA) -> None:
+    """Write ``path`` (.safetensors) and beside it ``sidecar`` as JSON, both in the manifest."""
+    path = Path(path)
+    write_bytes(path, save({name: tensor.contiguous() for name, tensor in state.items()}), root)
+    write_json(path.with_suffix(".json"), sidecar, root)
+
+
+def load_tensors(path: Path, root: Path = DATA) -> tuple[dict[str, Tensor], dict]:
+    """The tensors and the sidecar of a .safetensors file.
+
+    Raises:
+        ArtifactError: if the file fails the manifest, or is no safetensors file (a pickle is never opened).
+    """
+    path = Path(path)
+    if path.suffix != ".safetensors":
+        raise ArtifactError(f"{path} is not a .safetensors file; only those are loaded, never pickles")
+    try:
+        state = load(read_bytes(path, root))
+    except SafetensorError as error:
+        raise ArtifactError(f"{path} is not in the safetensors format ({error}); restore it with git") from None
+    return state, read_json(path.with_suffix(".json"), root)
+
+
+def write_json(path: Path, content: Mapping, root: Path = DATA) -> None:
+    """Write a JSON file of data/; numbers that are not finite are refused."""
+    write_bytes(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode(), root)
+
+
+def read_json(path: Path, root: Path = DATA) -> dict:
+    """The content of a JSON file of data/, checked against the manifest."""
+    return json.loads(read_bytes(path, root))
+
+
+def save_victim(task: str, algo: str, victim: Victim, sidecar: Mapping, root: Path = DATA) -> None:
+    """Ship a victim as ``<task>-<algo>/victim``."""
+    sidecar = dict(sidecar, config=victim.config, versions=versions())
+    save_tensors(root / f"{task}-{algo}" / "victim.safetensors", victim.state_dict(), sidecar, root)
+
+
+def load_victim(task: str, algo: str, root: Path = DATA) -> Victim:
+    """The shipped victim of a task ("hopper") and an algorithm ("td3")."""
+    return _build(Victim, root / f"{task}-{algo}" / "victim.safetensors", root)[0]
+
+
+def save_model(task: str, algo: str, name: str, model: GRUVAE, sidecar: Mapping, root: Path = DATA) -> None:
+    """Ship a GRU-VAE as ``<task>-<algo>/<name>``."""
+    sidecar = dict(sidecar, config=model.config, versions=versions())
+    save_tensors(root / f"{task}-{algo}" / f"{name}.safetensors", model.state_dict(), sidecar, root)
+
+
+def load_model(task: str, algo: str, name: str, root: Path = DATA) -> tuple[GRUVAE, dict]:
+    """A shipped GRU-VAE ("detector", "denoiser", "denoiser-as-printed") and its sidecar."""
+    return _build(GRUVAE, root / f"{task}-{algo}" / f"{name}.safetensors", root)
+
+
+def load_defense(task: str, algo: str, denoiser: str = "denoiser", root: Path = DATA) -> DetectAndDenoise:
+    """The shipped defence of a victim, with its calibrated threshold."""
+    detector, sidecar = load_model(task, algo, "detector", root)
+    return DetectAndDenoise(
+        Detector(detector, sidecar["threshold"]), Denoiser(load_model(task, algo, denoiser, root)[0])
+    )
+
+
+def load_record(name: str, root: Path = DATA) -> dict:
+    """A result record, ``results/<name>.json``."""
+    return read_json(root / "results" / f"{name}.json", root)
+
+
+def versions() -> dict[str, str]:
+    """Versions of what a result depends on."""
+    found = {"python": platform.python_version()}
+    for package in ("torch", "numpy", "gymnasium", "mujoco", "stable-baselines3", "sbx-rl"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            pass
+    return found
+
+
+def _build(kind, path: Path, root: Path):
+    state, sidecar = load_tensors(path, root)
+    try:
+        return kind.from_state(sidecar["config"], state), sidecar
+    except (KeyError, RuntimeError, TypeError) as error:
+        raise ArtifactError(f"{path} does not fit its sidecar ({error}); make both anew with their recipe") from None
+
+
+def _manifest(root: Path) -> dict[str, str]:
+    path = root / "manifest.json"
+    return json.loads(path.read_text()) if path.exists() else {}
+
+
+def _replace(path: Path, content: bytes) -> None:
+    new = path.with_name(path.name + ".new")
+    new.write_bytes(content)
+    os.replace(new, path)

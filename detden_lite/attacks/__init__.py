@@ -1,0 +1,8 @@
+"""The attacker's side. An attack has ``needs``, what it knows of the victim; ``reset(episodes)``, called with one seed an
+episode; and ``attack(obs, world) -> perturbed``, all ``[N, obs_dim]``."""
+
+from detden_lite.attacks.noise import GaussianNoise, UniformNoise
+from detden_lite.attacks.opposite import OppositeAttack
+from detden_lite.attacks.timing import Always, Random, Vulnerable
+
+__all__ = ["Always", "GaussianNoise", "OppositeAttack", "Random", "UniformNoise", "Vulnerable"]

@@ -1,0 +1,31 @@
+"""Noise in the attacker's ball: the control that every attack must beat."""
+
+from collections.abc import Sequence
+
+from torch import Tensor
+
+from detden_lite.budget import Budget
+from detden_lite.draws import Draws
+
+
+class UniformNoise:
+    """A uniformly random point of the ball."""
+
+    needs: frozenset[str] = frozenset()
+
+    def __init__(self, budget: Budget, seed: int = 0):
+        self.budget, self.seed = budget, seed
+
+    def reset(self, episodes: Sequence[int]) -> None:
+        self.draws = Draws(self.seed, episodes)
+
+    def __call__(self, obs: Tensor, world=None) -> Tensor:
+        return self.budget.project(obs, self.budget.sample(obs, self.draws))
+
+
+class GaussianNoise(UniformNoise):
+    """Gaussian noise of standard deviation epsilon (times scale), projected into the ball."""
+
+    def __call__(self, obs: Tensor, world=None) -> Tensor:
+        noise = self.draws.normal(*obs.shape) * self.budget.epsilon * self.budget.scale
+        return self.budget.project(obs, obs + noise)

@@ -1,0 +1,52 @@
+"""When to attack: the vulnerability indicator 1_vul and its controls (section 3.2.2)."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from detden_lite.draws import Draws
+from detden_lite.victims import Victim
+
+
+class Always:
+    """Attack at every step."""
+
+    def reset(self, episodes: Sequence[int]) -> None:
+        pass
+
+    def __call__(self, obs: Tensor) -> Tensor:
+        return torch.ones(len(obs), dtype=torch.bool)
+
+
+class Vulnerable:
+    """1_vul: attack where V(o) < C_vul.
+
+    Args:
+        victim: whose value function is asked.
+        threshold: C_vul, in units of discounted return.
+    """
+
+    def __init__(self, victim: Victim, threshold: float):
+        self.victim, self.threshold = victim, threshold
+
+    def reset(self, episodes: Sequence[int]) -> None:
+        pass
+
+    def __call__(self, obs: Tensor) -> Tensor:
+        return self.victim.value(obs) < self.threshold
+
+
+class Random:
+    """Attack at random steps, a fraction ``rate`` of them: what a timing must beat at the same rate."""
+
+    def __init__(self, rate: float, seed: int = 0):
+        if not 0 <= rate <= 1:
+            raise ValueError(f"rate must be between 0 and 1, not {rate}")
+        self.rate, self.seed = rate, seed
+
+    def reset(self, episodes: Sequence[int]) -> None:
+        self.draws = Draws(self.seed, episodes)
+
+    def __call__(self, obs: Tensor) -> Tensor:
+        return self.draws.uniform(len(obs), 1).squeeze(-1) < self.rate

@@ -1,0 +1,38 @@
+"""The denoiser: a GRU-VAE that maps perturbed observations to true ones (section 3.1.2)."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from detden_lite.budget import Budget
+from detden_lite.defense.gruvae import GRUVAE
+from detden_lite.draws import Draws
+
+
+class Denoiser:
+    """A GRU-VAE trained on D_normal and D_adv, remembering N episodes.
+
+    Args:
+        model: the trained network.
+        seed: of the latent samples.
+        sample: whether to sample the latent, as the paper does, or to take its mean.
+        budget: if given, the output is projected into B(o_hat): the truth lies there if the attacker kept to the budget.
+            The paper does not do this (its released code does).
+    """
+
+    def __init__(self, model: GRUVAE, seed: int = 3, sample: bool = True, budget: Budget | None = None):
+        self.model, self.seed, self.sample, self.budget = model, seed, sample, budget
+
+    def reset(self, episodes: Sequence[int]) -> None:
+        """Begin new episodes, one seed each."""
+        self.state, self.draws = None, Draws(self.seed, episodes)
+
+    @torch.no_grad()
+    def step(self, obs: Tensor) -> Tensor:
+        """den(o_hat): the denoised observation ``[N, obs_dim]``."""
+        noise = self.draws.normal(len(obs), self.model.latent_dim)[:, None] if self.sample else None
+        result = self.model(obs[:, None], noise, self.state)
+        self.state = result.state
+        denoised = result.output[:, 0]
+        return denoised if self.budget is None else self.budget.project(obs, denoised)

@@ -1,0 +1,107 @@
+"""The GRU-VAE of figure 3: a variational auto-encoder whose encoder and decoder remember the episode."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+State = tuple[Tensor, Tensor]  # encoder_state h^o and decoder_state h^z, [layers, N, hidden] each
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """What a GRU-VAE says of a sequence; ``output`` in observation units, the rest of the latent Gaussian q(z | o, h)."""
+
+    output: Tensor  # [N, steps, obs_dim]
+    mean: Tensor  # mu, [N, steps, latent_dim]
+    log_variance: Tensor  # log sigma^2, [N, steps, latent_dim]
+    state: State
+
+
+class GRUVAE(nn.Module):
+    """Encoder GRU, Gaussian latent, decoder GRU, linear output.
+
+    Observations are z-scored on the way in, with the statistics of D_normal, and back on the way out.
+
+    Args:
+        obs_dim: size of an observation.
+        hidden: hidden size of both GRUs (table 5).
+        layers: layers of both GRUs (table 5).
+        latent: size of z (table 5, "embedding size").
+        residual: False, as the paper has it: the output is the decoder's. True: the output is the input plus the
+            decoder's, which then only has to learn the correction.
+    """
+
+    def __init__(self, obs_dim: int, hidden: int = 64, layers: int = 1, latent: int = 64, residual: bool = False):
+        super().__init__()
+        self.config = dict(obs_dim=obs_dim, hidden=hidden, layers=layers, latent=latent, residual=residual)
+        self.encoder = nn.GRU(obs_dim, hidden, layers, batch_first=True)
+        self.to_mean = nn.Linear(hidden, latent)
+        self.to_log_variance = nn.Linear(hidden, latent)
+        self.decoder = nn.GRU(latent, hidden, layers, batch_first=True)
+        self.to_output = nn.Linear(hidden, obs_dim)
+        self.register_buffer("obs_mean", torch.zeros(obs_dim))
+        self.register_buffer("obs_std", torch.ones(obs_dim))
+
+    @property
+    def obs_dim(self) -> int:
+        return self.config["obs_dim"]
+
+    @property
+    def latent_dim(self) -> int:
+        return self.config["latent"]
+
+    def forward(self, obs: Tensor, noise: Tensor | None = None, state: State | None = None) -> Reconstruction:
+        """Encode, sample and decode a sequence.
+
+        Args:
+            obs: ``[N, steps, obs_dim]``.
+            noise: standard normal ``[N, steps, latent_dim]`` that makes the sample z = mu + sigma * noise; None takes
+                the mean.
+            state: where an earlier sequence ended; None at an episode's beginning.
+        """
+        encoder_state, decoder_state = state or (None, None)
+        x = (obs - self.obs_mean) / self.obs_std
+        hidden, encoder_state = self.encoder(x, encoder_state)
+        mean, log_variance = self.to_mean(hidden), self.to_log_variance(hidden).clamp(-20, 10)
+        z = mean if noise is None else mean + (0.5 * log_variance).exp() * noise
+        decoded, decoder_state = self.decoder(z, decoder_state)
+        out = self.to_output(decoded)
+        if self.config["residual"]:
+            out = x + out
+        return Reconstruction(out * self.obs_std + self.obs_mean, mean, log_variance, (encoder_state, decoder_state))
+
+    def set_statistics(self, mean: Tensor, std: Tensor) -> None:
+        """Take the z-scoring's statistics, ``[obs_dim]`` each. Observations that hardly vary are left in raw units."""
+        self.obs_mean.copy_(mean)
+        self.obs_std.copy_(torch.where(std > 1e-4, std, 1.0))
+
+    @classmethod
+    def from_state(cls, config: Mapping, state: Mapping[str, Tensor]) -> "GRUVAE":
+        """The model with this ``config`` (see ``model.config``) and ``state`` (its state dict), frozen."""
+        model = cls(**config)
+        model.load_state_dict(state)
+        return model.requires_grad_(False).eval()
+
+
+def reconstruction_loss(model: GRUVAE, output: Tensor, target: Tensor) -> Tensor:
+    """-log p(o | z, h) up to a constant: half the squared z-scored error, summed over dimensions, ``[N, steps]``."""
+    return 0.5 * ((output - target) / model.obs_std).square().sum(-1)
+
+
+def kl_divergence(mean: Tensor, log_variance: Tensor, prior: str = "free") -> Tensor:
+    """D_KL(q || pr), ``[N, steps]``.
+
+    Args:
+        mean: mu of q, ``[N, steps, latent_dim]``.
+        log_variance: log sigma^2 of q.
+        prior: "free" for the paper's N(mu_z, I), whose mean is free and so, at its best, equal to q's own: only the
+            variance is held; "standard" for N(0, I).
+    """
+    variance_part = 0.5 * (log_variance.exp() - 1 - log_variance).sum(-1)
+    if prior == "free":
+        return variance_part
+    if prior == "standard":
+        return variance_part + 0.5 * mean.square().sum(-1)
+    raise ValueError(f'prior must be "free" or "standard", not {prior!r}')

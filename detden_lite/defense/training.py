@@ -1,0 +1,125 @@
+"""Training a GRU-VAE, as detector (input = target) or denoiser (input = attacked, target = true), by its ELBO."""
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from detden_lite.defense.augmentation import Trajectories
+from detden_lite.defense.gruvae import GRUVAE, kl_divergence, reconstruction_loss
+
+
+@dataclass(frozen=True)
+class VAERecipe:
+    """How a GRU-VAE is trained. ``beta`` weighs the KL term: it is the variance of p(o | z, h) in z-scored units."""
+
+    hidden: int = 64
+    layers: int = 1
+    latent: int = 64
+    residual: bool = False
+    prior: str = "free"
+    beta: float = 1e-3
+    epochs: int = 50
+    batch: int = 128
+    chunk: int = 100  # steps of truncated backpropagation; the memory runs on from chunk to chunk
+    learning_rate: float = 1e-3
+
+
+def train_gruvae(
+    recipe: VAERecipe,
+    pairs: list[tuple[Trajectories, Trajectories]],
+    seed: int,
+    checkpoint: Path | None = None,
+    after_epoch: Callable[[int, GRUVAE], None] | None = None,
+    label: str = "GRU-VAE",
+) -> GRUVAE:
+    """Maximise the ELBO of L_det or L_den (section 3.1) over all pairs of (input, target) trajectories.
+
+    Every epoch is seeded by (seed, epoch), so that a run resumed from its checkpoint equals one that never stopped.
+
+    Args:
+        recipe: the hyperparameters.
+        pairs: ``[(normal, normal)]`` for a detector; ``[(normal, normal), (adversarial, normal)]`` for a denoiser.
+        seed: of initialisation, order and latent samples.
+        checkpoint: file to write after every epoch and to resume from; None for neither.
+        after_epoch: called with (epoch, model).
+        label: text of the progress bar.
+
+    Returns:
+        The trained model, frozen.
+
+    Raises:
+        ValueError: if the checkpoint is of another recipe or seed.
+    """
+    torch.manual_seed(seed)
+    target = pairs[0][1]
+    model = GRUVAE(target.obs.shape[-1], recipe.hidden, recipe.layers, recipe.latent, recipe.residual)
+    seen = torch.from_numpy(target.obs[target.mask])
+    model.set_statistics(seen.mean(0), seen.std(0))
+    optimizer = torch.optim.Adam(model.parameters(), lr=recipe.learning_rate)
+    identity = json.dumps(dict(asdict(recipe), seed=seed))
+    first = _resume(checkpoint, identity, model, optimizer) if checkpoint else 0
+
+    # One index over all pairs: the i-th sequence of the p-th pair.
+    index = np.concatenate([np.stack([np.full(len(t), p), np.arange(len(t))], 1) for p, (_, t) in enumerate(pairs)])
+    with tqdm(range(first, recipe.epochs), initial=first, total=recipe.epochs, desc=label, unit="epoch") as bar:
+        for epoch in bar:
+            torch.manual_seed(int(np.random.SeedSequence([seed, epoch]).generate_state(1)[0]))
+            order = torch.randperm(len(index)).numpy()
+            losses = [
+                _train_on(model, optimizer, recipe, pairs, index[order[i : i + recipe.batch]])
+                for i in range(0, len(order), recipe.batch)
+            ]
+            bar.set_postfix(loss=f"{np.mean(losses):.4f}")
+            if checkpoint:
+                _save(checkpoint, identity, epoch + 1, model, optimizer)
+            if after_epoch:
+                after_epoch(epoch, model)
+    return model.requires_grad_(False).eval()
+
+
+def _train_on(model: GRUVAE, optimizer, recipe: VAERecipe, pairs, batch: np.ndarray) -> float:
+    def gather(side: int) -> torch.Tensor:
+        return torch.from_numpy(np.stack([pairs[p][side].obs[i] for p, i in batch]))
+
+    inputs, targets = gather(0), gather(1)
+    mask = torch.from_numpy(np.stack([np.arange(inputs.shape[1]) < pairs[p][1].lengths[i] for p, i in batch]))
+    state, total = None, 0.0
+    starts = range(0, int(mask.sum(1).max()), recipe.chunk)
+    for start in starts:
+        part = slice(start, start + recipe.chunk)
+        noise = torch.randn(*inputs[:, part].shape[:2], recipe.latent)
+        result = model(inputs[:, part], noise, state)
+        state = tuple(s.detach() for s in result.state)
+        loss = reconstruction_loss(model, result.output, targets[:, part])
+        loss = loss + recipe.beta * kl_divergence(result.mean, result.log_variance, recipe.prior)
+        loss = (loss * mask[:, part]).sum() / mask[:, part].sum()
+        optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
+        optimizer.step()
+        total += loss.item()
+    return total / len(starts)
+
+
+def _save(path: Path, identity: str, epochs: int, model: GRUVAE, optimizer) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    new = path.with_suffix(".new")
+    torch.save(dict(identity=identity, epochs=epochs, model=model.state_dict(), optimizer=optimizer.state_dict()), new)
+    os.replace(new, path)
+
+
+def _resume(path: Path, identity: str, model: GRUVAE, optimizer) -> int:
+    if not path.exists():
+        return 0
+    saved = torch.load(path, weights_only=True)
+    if saved["identity"] != identity:
+        raise ValueError(f"{path} is a checkpoint of another recipe ({saved['identity']}); remove it or train elsewhere")
+    model.load_state_dict(saved["model"])
+    optimizer.load_state_dict(saved["optimizer"])
+    return saved["epochs"]

@@ -1,0 +1,133 @@
+"""Episodes made ready to be looked at: one of each kind side by side, and the body that moved in them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import gymnasium
+import mujoco
+import numpy as np
+
+from detden_lite.rollout import Episodes
+from detden_lite.tasks import Task
+
+# Okabe and Ito's colours, a little lightened for a dark ground: told apart with any colour vision.
+COLOURS = ((86, 180, 233), (236, 122, 32), (0, 190, 135), (214, 134, 180))
+GREY = (112, 114, 118)
+
+
+@dataclass(frozen=True)
+class Robot:
+    """The body of a task. In all five it is made of capsules, and of spheres, which are capsules of length zero."""
+
+    model: mujoco.MjModel
+    dt: float  # seconds from one action to the next
+    geoms: np.ndarray  # which of the model's geoms are the robot and not the floor, [G]
+    names: tuple[str, ...]  # what each observation measures, obs_dim of them
+    hidden: int  # how many of the first positions are not observed: where on the floor the robot is
+
+    @classmethod
+    def of(cls, task: Task) -> "Robot":
+        """The robot of a task, from gymnasium's own model of it."""
+        env = gymnasium.make(task.env_id).unwrapped
+        names, hidden = _observation_names(env.model, env.observation_structure), env.observation_structure["skipped_qpos"]
+        env.close()
+        return cls(env.model, float(env.dt), np.flatnonzero(env.model.geom_bodyid > 0), names, hidden)
+
+    @property
+    def radii(self) -> np.ndarray:
+        """Radius of every capsule in metres, ``[G]``."""
+        return self.model.geom_size[self.geoms, 0]
+
+    @property
+    def lengths(self) -> np.ndarray:
+        """Length of every capsule without its two caps in metres, ``[G]``."""
+        capsule = self.model.geom_type[self.geoms] == mujoco.mjtGeom.mjGEOM_CAPSULE
+        return np.where(capsule, 2 * self.model.geom_size[self.geoms, 1], 0.0)
+
+    def poses(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Forward kinematics of generalised positions ``[T, nq]``.
+
+        Returns:
+            The centre of every capsule in metres, ``[T, G, 3]``, and the rotation of its axis from z, ``[T, G, 3, 3]``.
+        """
+        data = mujoco.MjData(self.model)
+        centres = np.empty((len(positions), len(self.geoms), 3))
+        rotations = np.empty((len(positions), len(self.geoms), 3, 3))
+        for t, position in enumerate(positions):
+            data.qpos[:] = position
+            mujoco.mj_kinematics(self.model, data)
+            centres[t], rotations[t] = data.geom_xpos[self.geoms], data.geom_xmat[self.geoms].reshape(-1, 3, 3)
+        return centres, rotations
+
+    def imagined(self, positions: np.ndarray, obs: np.ndarray) -> np.ndarray:
+        """Positions ``[T, nq]`` of the robot that an observation ``[T, obs_dim]`` describes, put where the true one is."""
+        described = self.model.nq - self.hidden
+        return np.concatenate([positions[:, : self.hidden], obs[:, :described]], axis=1)
+
+
+@dataclass(frozen=True)
+class Take:
+    """One episode, cut to the T steps that it lived. Arrays are ``[T, ...]``, in the units of ``Episodes``."""
+
+    name: str
+    colour: tuple[int, int, int]
+    fell: bool  # it ended before its time
+    positions: np.ndarray  # [T, nq] before each action, and one row more where the state after the last is known
+    obs: np.ndarray
+    perturbed: np.ndarray
+    denoised: np.ndarray
+    reward: np.ndarray
+    attacked: np.ndarray
+    alarm: np.ndarray
+    score: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.reward)
+
+
+def takes(robot: Robot, episodes: Mapping[str, Episodes], index: int) -> list[Take]:
+    """Episode ``index`` of each of several kinds of episodes, by name, to be shown side by side.
+
+    Raises:
+        ValueError: if there is none, if an index is out of range, or if episodes are not of this robot's task.
+    """
+    if not 0 < len(episodes) <= len(COLOURS):
+        raise ValueError(f"episodes: give 1 to {len(COLOURS)} kinds of episodes, by name, not {len(episodes)}")
+    horizon = max(len(kind.mask) for kind in episodes.values())
+    return [_take(robot, *item, index, colour, horizon) for item, colour in zip(episodes.items(), COLOURS)]
+
+
+def _take(robot: Robot, name: str, kind: Episodes, index: int, colour: tuple[int, int, int], horizon: int) -> Take:
+    n, obs_dim, numbers = kind.mask.shape[1], kind.obs.shape[-1], kind.state.shape[-1]
+    if not 0 <= index < n:
+        raise ValueError(f"index: {name!r} has episodes 0 to {n - 1}, not {index}")
+    if (obs_dim, numbers) != (len(robot.names), robot.model.nq + robot.model.nv):
+        raise ValueError(
+            f"episodes: {name!r} has {obs_dim} observations and {numbers} positions and velocities, the task "
+            f"{len(robot.names)} and {robot.model.nq + robot.model.nv}; give episodes and task that belong together"
+        )
+    length = int(kind.mask[:, index].sum())
+    rows = ("obs", "perturbed", "denoised", "reward", "attacked", "alarm", "score")
+    return Take(
+        name,
+        colour,
+        length < horizon,
+        kind.state[: length + 1, index, : robot.model.nq],
+        **{row: getattr(kind, row)[:length, index] for row in rows},
+    )
+
+
+def _observation_names(model: mujoco.MjModel, structure: dict[str, int]) -> tuple[str, ...]:
+    positions, velocities = [], []
+    for i in range(model.njnt):
+        joint = model.joint(i)
+        if joint.type[0] == mujoco.mjtJoint.mjJNT_FREE:
+            positions += ["x", "y", "z", "turn_w", "turn_x", "turn_y", "turn_z"]
+            velocities += ["x", "y", "z", "turn_x", "turn_y", "turn_z"]
+        else:
+            name = {"rootx": "x", "rootz": "z", "rooty": "pitch"}.get(joint.name, joint.name.removesuffix("_joint"))
+            positions.append(name)
+            velocities.append(name)
+    names = positions[structure["skipped_qpos"] :] + [f"velocity_{name}" for name in velocities]
+    rest = [key for key in structure if key not in ("skipped_qpos", "qpos", "qvel")]
+    return tuple(names + [f"{key}_{i}" for key in rest for i in range(structure[key])])

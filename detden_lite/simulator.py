@@ -1,0 +1,48 @@
+"""N worlds of one task, stepped together: gymnasium's own environments, without their wrappers."""
+
+from collections.abc import Sequence
+
+import gymnasium
+import numpy as np
+
+
+class Simulator:
+    """N gymnasium MuJoCo environments in lockstep.
+
+    Args:
+        env_id: a gymnasium MuJoCo environment, such as "Hopper-v5".
+        seeds: one seed an episode; N of them.
+    """
+
+    def __init__(self, env_id: str, seeds: Sequence[int]):
+        if not len(seeds):
+            raise ValueError("seeds is empty: give one seed for each episode")
+        # The unwrapped environment saves the time of the checks; a time limit is the caller's.
+        self.envs = [gymnasium.make(env_id).unwrapped for _ in seeds]
+        self.seeds = [int(seed) for seed in seeds]
+        self.alive = np.ones(len(seeds), dtype=bool)
+
+    def reset(self) -> np.ndarray:
+        """Start every episode from its seed. Returns observations ``[N, obs_dim]`` float32."""
+        self.alive[:] = True
+        self.obs = np.stack([env.reset(seed=seed)[0] for env, seed in zip(self.envs, self.seeds, strict=True)])
+        return self.obs.astype(np.float32)
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """One control step of every living world; a world whose episode has ended stays as it is.
+
+        Args:
+            action: ``[N, action_dim]``, in the environment's units.
+
+        Returns:
+            Observations ``[N, obs_dim]`` float32, rewards ``[N]`` (0 in an ended world), and terminated ``[N]`` bool.
+        """
+        reward = np.zeros(len(self.envs))
+        for i in np.flatnonzero(self.alive):
+            self.obs[i], reward[i], terminated, _, _ = self.envs[i].step(action[i])
+            self.alive[i] = not terminated
+        return self.obs.astype(np.float32), reward, ~self.alive
+
+    def state(self) -> np.ndarray:
+        """qpos and qvel of every world, ``[N, nq + nv]``."""
+        return np.stack([np.concatenate([env.data.qpos, env.data.qvel]) for env in self.envs])

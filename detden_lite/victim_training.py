@@ -1,0 +1,113 @@
+"""Training a TD3 victim with sbx-rl (stable-baselines3's algorithms in JAX), in segments that survive a kill."""
+
+import json
+import os
+import shutil
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+from safetensors.torch import save_file
+from tqdm import tqdm
+
+from detden_lite.tasks import Task
+from detden_lite.victims import Victim
+
+
+@dataclass(frozen=True)
+class TD3Recipe:
+    """Hyperparameters of TD3 (Fujimoto et al., 2018) and of its training in segments.
+
+    A segment is what is trained between two checkpoints. Each starts from a new episode and from random generators
+    that are seeded by (seed, segment), so that a run that was killed and resumed equals one that was not.
+    """
+
+    steps: int = 1_000_000
+    segment: int = 20_000
+    net: int = 256
+    learning_rate: float = 1e-3
+    batch: int = 128
+    learning_starts: int = 10_000
+    action_noise: float = 0.1
+    updates: int = 50  # environment steps, and as many gradient steps, in one compiled call
+
+    def __post_init__(self):
+        if self.steps % self.segment or self.segment % self.updates:
+            raise ValueError("steps must be a multiple of segment, and segment of updates")
+
+
+def train_td3(task: Task, recipe: TD3Recipe, seed: int, folder: Path) -> list[Path]:
+    """Train, or go on training, and return the snapshots: one victim a segment, ``folder/snapshots/*.safetensors``.
+
+    The checkpoint (model and replay buffer) in ``folder/checkpoint`` is replaced after every segment; a kill loses at
+    most the segment under way.
+
+    Raises:
+        ValueError: if ``folder`` holds a run of another recipe.
+    """
+    # One thread: XLA's own threads would fight with the other runs on the machine for nothing.
+    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
+    from sbx import TD3
+    from stable_baselines3.common.noise import NormalActionNoise
+
+    folder = Path(folder)
+    description = json.dumps(dict(task=task.name, seed=seed, **asdict(recipe)), indent=1)
+    _claim(folder, description)
+    checkpoint, snapshots = folder / "checkpoint", folder / "snapshots"
+    snapshots.mkdir(exist_ok=True)
+    env = gymnasium.make(task.env_id)
+    if checkpoint.exists():
+        model = TD3.load(checkpoint / "model.zip", env=env)
+        model.load_replay_buffer(checkpoint / "buffer.pkl")
+        done = json.loads((checkpoint / "segments.json").read_text())
+    else:
+        action_dim = env.action_space.shape[0]
+        model = TD3(
+            "MlpPolicy",
+            env,
+            learning_rate=recipe.learning_rate,
+            batch_size=recipe.batch,
+            learning_starts=recipe.learning_starts,
+            buffer_size=recipe.steps,
+            train_freq=recipe.updates,
+            gradient_steps=recipe.updates,
+            action_noise=NormalActionNoise(np.zeros(action_dim), np.full(action_dim, recipe.action_noise)),
+            policy_kwargs=dict(net_arch=[recipe.net, recipe.net]),
+            seed=seed,
+        )
+        done = 0
+
+    segments = recipe.steps // recipe.segment
+    with tqdm(total=recipe.steps, initial=done * recipe.segment, desc=f"TD3 {task.name} seed {seed}", unit="step") as bar:
+        for segment in range(done, segments):
+            model.set_env(gymnasium.make(task.env_id))  # forgets the episode under way
+            model.set_random_seed(int(np.random.SeedSequence([seed, segment]).generate_state(1)[0]))
+            model.learn(recipe.segment, reset_num_timesteps=False)
+            steps = (segment + 1) * recipe.segment
+            victim = Victim.from_sb3(model)
+            save_file(victim.state_dict(), snapshots / f"{steps:08d}.safetensors")
+            _save_checkpoint(model, checkpoint, segment + 1)
+            returns = [episode["r"] for episode in model.ep_info_buffer]
+            bar.set_postfix(training_return=f"{np.mean(returns):.0f}" if returns else "-")
+            bar.update(recipe.segment)
+    return sorted(snapshots.glob("*.safetensors"))
+
+
+def _claim(folder: Path, description: str) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    recipe_file = folder / "recipe.json"
+    if recipe_file.exists() and recipe_file.read_text() != description:
+        raise ValueError(f"{recipe_file} describes another run; choose another folder, or remove {folder}")
+    recipe_file.write_text(description)
+
+
+def _save_checkpoint(model, checkpoint: Path, segments: int) -> None:
+    new = checkpoint.with_name("checkpoint.new")
+    shutil.rmtree(new, ignore_errors=True)
+    new.mkdir()
+    model.save(new / "model.zip")
+    model.save_replay_buffer(new / "buffer.pkl")
+    (new / "segments.json").write_text(json.dumps(segments))
+    shutil.rmtree(checkpoint, ignore_errors=True)
+    new.rename(checkpoint)

@@ -1,0 +1,191 @@
+"""A frozen policy with its critic: what is attacked and defended, and never retrained."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+ACTIVATIONS = {"relu": nn.ReLU, "tanh": nn.Tanh}
+
+
+def mlp(sizes: list[int], activation: str = "relu", squash: bool = False) -> nn.Sequential:
+    """Linear layers of the given sizes with an activation between them, and a final tanh if ``squash``."""
+    layers: list[nn.Module] = []
+    for n_in, n_out in zip(sizes[:-1], sizes[1:], strict=True):
+        layers += [nn.Linear(n_in, n_out), ACTIVATIONS[activation]()]
+    layers.pop()
+    return nn.Sequential(*layers, *([nn.Tanh()] if squash else []))
+
+
+class Victim(nn.Module):
+    """pi, Q and V of a trained agent, with frozen parameters (section 2.1 of the paper).
+
+    Observations are raw, in the environment's units: an observation normaliser, if the agent had one, is the first
+    layer. Actions are in the environment's units too. A deterministic policy (TD3) has ``action_std`` None; for a
+    Gaussian one (PPO) the forward pass is the mean and ``action_std`` the square root of the diagonal of Sigma.
+
+    Args:
+        actor: layer sizes of the policy network, from obs_dim to action_dim.
+        critic: layer sizes of each Q network, from obs_dim + action_dim to 1; None if there is none.
+        value: layer sizes of the value network, from obs_dim to 1; None if V(o) = Q(o, pi(o)).
+        n_critics: how many Q networks (TD3 has two).
+        activation: "relu" or "tanh".
+        gaussian: whether the policy is stochastic.
+    """
+
+    def __init__(
+        self,
+        actor: list[int],
+        critic: list[int] | None = None,
+        value: list[int] | None = None,
+        n_critics: int = 2,
+        activation: str = "relu",
+        gaussian: bool = False,
+    ):
+        super().__init__()
+        self.config = dict(
+            actor=actor, critic=critic, value=value, n_critics=n_critics, activation=activation, gaussian=gaussian
+        )
+        obs_dim, action_dim = actor[0], actor[-1]
+        self.actor = mlp(actor, activation, squash=not gaussian)
+        self.critics = nn.ModuleList(mlp(critic, activation) for _ in range(n_critics if critic else 0))
+        self.value_net = mlp(value, activation) if value else None
+        self.register_buffer("obs_mean", torch.zeros(obs_dim))
+        self.register_buffer("obs_std", torch.ones(obs_dim))
+        self.register_buffer("obs_clip", torch.tensor(torch.inf))
+        self.register_buffer("action_low", -torch.ones(action_dim))
+        self.register_buffer("action_high", torch.ones(action_dim))
+        self.register_buffer("action_std", torch.ones(action_dim) if gaussian else None)
+        self.requires_grad_(False).eval()
+
+    @property
+    def obs_dim(self) -> int:
+        return self.config["actor"][0]
+
+    @property
+    def action_dim(self) -> int:
+        return self.config["actor"][-1]
+
+    def normalize(self, obs: Tensor) -> Tensor:
+        """What the networks see of raw observations ``[N, obs_dim]``."""
+        return ((obs - self.obs_mean) / self.obs_std).clamp(-self.obs_clip, self.obs_clip)
+
+    def mean(self, obs: Tensor) -> Tensor:
+        """The policy's output ``[N, action_dim]`` before a Gaussian policy's mean is clipped to the action bounds."""
+        out = self.actor(self.normalize(obs))
+        if self.action_std is not None:
+            return out
+        return self.action_low + 0.5 * (out + 1) * (self.action_high - self.action_low)
+
+    def forward(self, obs: Tensor) -> Tensor:
+        """pi(o): actions ``[N, action_dim]`` for observations ``[N, obs_dim]``, inside the action bounds."""
+        return self.mean(obs).clamp(self.action_low, self.action_high)
+
+    def q(self, obs: Tensor, action: Tensor) -> Tensor:
+        """Q(o, a) ``[N]``: the smallest of the critics, as TD3's own target takes it."""
+        if not len(self.critics):
+            raise ValueError("this victim has no Q-function: learn one from clean data first, or attack without it")
+        scaled = 2 * (action - self.action_low) / (self.action_high - self.action_low) - 1
+        x = torch.cat([self.normalize(obs), scaled], dim=-1)
+        return torch.stack([critic(x) for critic in self.critics]).amin(0).squeeze(-1)
+
+    def value(self, obs: Tensor) -> Tensor:
+        """V(o) ``[N]``: the value network's, or Q(o, pi(o)) for a deterministic policy (section 3.2)."""
+        if self.value_net is not None:
+            return self.value_net(self.normalize(obs)).squeeze(-1)
+        return self.q(obs, self(obs))
+
+    @classmethod
+    def from_state(cls, config: Mapping, state: Mapping[str, Tensor]) -> "Victim":
+        """The victim with this ``config`` (see ``victim.config``) and ``state`` (its state dict)."""
+        victim = cls(**config)
+        victim.load_state_dict(state)
+        return victim
+
+    @classmethod
+    def from_sb3(cls, model, vecnormalize=None) -> "Victim":
+        """A frozen copy of a stable-baselines3 TD3 or PPO model, or of an sbx-rl TD3 model.
+
+        Args:
+            model: the trained model, with plain MLP networks and a Box action space.
+            vecnormalize: the ``VecNormalize`` it was trained in, if any; it becomes the victim's first layer.
+
+        Raises:
+            ValueError: if the model is of another kind, or its network is not a plain MLP.
+        """
+        if hasattr(model, "policy") and hasattr(model.policy, "actor_state"):
+            victim = _from_sbx_td3(model)
+        elif hasattr(model, "critic") and hasattr(getattr(model, "actor", None), "mu"):
+            victim = _from_sb3_td3(model)
+        elif hasattr(model.policy, "mlp_extractor"):
+            victim = _from_sb3_ppo(model)
+        else:
+            raise ValueError(f"model: {type(model).__name__} is neither a TD3 nor a PPO model with an MLP policy")
+        victim.action_low.copy_(torch.as_tensor(model.action_space.low))
+        victim.action_high.copy_(torch.as_tensor(model.action_space.high))
+        if vecnormalize is not None and vecnormalize.norm_obs:
+            victim.obs_mean.copy_(torch.as_tensor(vecnormalize.obs_rms.mean))
+            victim.obs_std.copy_(torch.as_tensor(np.sqrt(vecnormalize.obs_rms.var + vecnormalize.epsilon)))
+            victim.obs_clip.fill_(vecnormalize.clip_obs)
+        return victim
+
+
+def _linears(net: nn.Module) -> list[tuple[Tensor, Tensor]]:
+    return [(m.weight, m.bias) for m in net.modules() if isinstance(m, nn.Linear)]
+
+
+def _sizes(layers: list[tuple[Tensor, Tensor]]) -> list[int]:
+    return [layers[0][0].shape[1], *(weight.shape[0] for weight, _ in layers)]
+
+
+def _fill(net: nn.Module, layers: list[tuple[Tensor, Tensor]]) -> None:
+    for (weight, bias), (new_weight, new_bias) in zip(_linears(net), layers, strict=True):
+        weight.copy_(new_weight)
+        bias.copy_(new_bias)
+
+
+def _activation(net: nn.Module) -> str:
+    names = {name for name, kind in ACTIVATIONS.items() for m in net.modules() if isinstance(m, kind)}
+    if len(names) != 1:
+        raise ValueError(f"model: its hidden layers must be all relu or all tanh, not {sorted(names) or 'neither'}")
+    return names.pop()
+
+
+def _deterministic(actor, critics, activation: str) -> Victim:
+    victim = Victim(_sizes(actor), _sizes(critics[0]), n_critics=len(critics), activation=activation)
+    _fill(victim.actor, actor)
+    for net, layers in zip(victim.critics, critics, strict=True):
+        _fill(net, layers)
+    return victim
+
+
+def _from_sb3_td3(model) -> Victim:
+    critics = [_linears(net) for net in model.critic.q_networks]
+    return _deterministic(_linears(model.actor.mu), critics, _activation(model.critic))
+
+
+def _from_sbx_td3(model) -> Victim:
+    def dense(params: Mapping) -> list[tuple[Tensor, Tensor]]:
+        if "Dense_0" not in params:  # flax wraps the layers in modules of its own
+            return dense(next(iter(params.values())))
+        names = sorted(params, key=lambda name: int(name.split("_")[1]))
+        return [tuple(torch.tensor(np.asarray(params[n][k])) for k in ("kernel", "bias")) for n in names]
+
+    actor = [(kernel.T, bias) for kernel, bias in dense(model.policy.actor_state.params)]
+    both = dense(model.policy.qf_state.params)
+    critics = [[(kernel[i].T, bias[i]) for kernel, bias in both] for i in range(len(both[0][0]))]
+    return _deterministic(actor, critics, model.policy.activation_fn.__name__)
+
+
+def _from_sb3_ppo(model) -> Victim:
+    policy = model.policy
+    actor = _linears(policy.mlp_extractor.policy_net) + _linears(policy.action_net)
+    value = _linears(policy.mlp_extractor.value_net) + _linears(policy.value_net)
+    victim = Victim(
+        _sizes(actor), value=_sizes(value), activation=_activation(policy.mlp_extractor.policy_net), gaussian=True
+    )
+    _fill(victim.actor, actor)
+    _fill(victim.value_net, value)
+    victim.action_std.copy_(policy.log_std.exp())
+    return victim
