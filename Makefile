@@ -1,0 +1,74 @@
+# Everything is made by `make`: .venv from environment.lock first, then what was asked for. `make help` lists it.
+
+PYTHON ?= python3
+SERVE ?= 1
+PORT ?= 8000
+
+ifeq ($(OS),Windows_NT)
+BIN := .venv/Scripts
+else
+BIN := .venv/bin
+endif
+PY := $(BIN)/python
+
+CHAPTERS := $(wildcard book/chapters/*.md)
+TOOLS := $(wildcard book/tools/*.py)
+LIBRARY := $(wildcard detden_lite/*.py detden_lite/*/*.py)
+DATA := $(wildcard data/* data/*/*)
+BOOK := $(CHAPTERS) $(TOOLS) $(wildcard book/*.* book/_static/* book/images/*)
+
+.DEFAULT_GOAL := help
+.PHONY: help book test notebooks lab bench lint lock clean
+
+help: ## List the targets
+	@$(PYTHON) -c "import re; [print(f'make {t:<10} {d}') for t, d in re.findall(r'^(\w+):.*?## (.+)$$', open('Makefile', encoding='utf-8').read(), re.M)]"
+
+book: _build/html.stamp ## Build the book and serve it at localhost (SERVE=0: only build; PORT=8000)
+ifneq ($(SERVE),0)
+	$(PY) book/tools/serve.py _build/html $(PORT)
+endif
+
+test: _build/html.stamp ## Run the tests: the library, the notebooks, the built book in a browser
+	$(PY) book/tools/student.py --solved _build/solved
+	$(PY) -m pytest tests _build/solved --nbmake --nbmake-timeout=90
+
+notebooks: .venv/stamp ## Write notebooks/ anew from book/chapters/
+	$(PY) book/tools/student.py notebooks
+
+lab: .venv/stamp ## Open the notebooks in JupyterLab
+	$(PY) -m jupyter lab --notebook-dir=notebooks
+
+bench: .venv/stamp ## Print the benchmarks
+	$(PY) -c "import pathlib, subprocess, sys; [subprocess.run([sys.executable, str(p)], check=True) for p in sorted(pathlib.Path('tests/benchmarks').glob('*.py'))]"
+
+lint: .venv/stamp ## Check the style
+	$(PY) -m ruff check .
+	$(PY) -m ruff format --check .
+
+lock: .venv/stamp ## Resolve environment.lock anew from pyproject.toml
+	$(BIN)/uv pip compile -q pyproject.toml --extra all --universal --python-version 3.11 --generate-hashes --no-emit-index-url --custom-compile-command "make lock" --upgrade -o environment.lock
+
+clean: ## Remove everything that was made, .venv included
+	$(PYTHON) -c "import shutil; [shutil.rmtree(d, ignore_errors=True) for d in ('_build', '.venv')]"
+
+# uv itself is in the lock: pip installs it by its hashes, and it installs the rest. The build constraints pin, with
+# hashes, what builds the one package that comes as source.
+.venv/stamp: environment.lock pyproject.toml
+	@$(PYTHON) -c "import sys; (3, 11) <= sys.version_info[:2] <= (3, 13) or sys.exit('Python 3.11, 3.12 or 3.13 is needed, and $(PYTHON) is ' + sys.version.split()[0] + ': name another one, as in: make PYTHON=python3.12 ...')"
+	$(PYTHON) -m venv .venv
+	sed -n '/^uv==/,/[^\\]$$/p' environment.lock > .venv/uv.txt
+	$(PY) -m pip install -q --disable-pip-version-check --require-hashes -r .venv/uv.txt
+	$(BIN)/uv pip sync -q --python $(PY) --require-hashes --build-constraints environment.lock environment.lock
+	$(BIN)/uv pip install -q --python $(PY) --no-deps --editable .
+	@$(PY) -c "open('.venv/stamp', 'w')"
+
+# The cache of executed chapters knows their code, but neither the library nor the data: when those change, it goes.
+_build/cache.stamp: .venv/stamp $(LIBRARY) $(DATA)
+	$(PY) -c "import pathlib, shutil; shutil.rmtree('_build/.jupyter_cache', ignore_errors=True); pathlib.Path('_build').mkdir(exist_ok=True); open('$@', 'w')"
+
+_build/vendor/widgets/embed.js: .venv/stamp book/tools/widget_player.py
+	$(PY) book/tools/widget_player.py $@
+
+_build/html.stamp: _build/cache.stamp _build/vendor/widgets/embed.js $(BOOK)
+	$(PY) -m jupyter_book build book --path-output . --warningiserror --keep-going --quiet
+	@$(PY) -c "open('$@', 'w')"
