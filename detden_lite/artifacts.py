@@ -103,16 +103,15 @@ def save_model(task: str, algo: str, name: str, model: GRUVAE, sidecar: Mapping,
 
 
 def load_model(task: str, algo: str, name: str, root: Path = DATA) -> tuple[GRUVAE, dict]:
-    """A shipped GRU-VAE ("detector", "denoiser", "denoiser-as-printed") and its sidecar."""
+    """A shipped GRU-VAE ("detector-diverse", "denoiser-residual") and its sidecar."""
     return _build(GRUVAE, root / f"{task}-{algo}" / f"{name}.safetensors", root)
 
 
-def load_defense(task: str, algo: str, denoiser: str = "denoiser", root: Path = DATA) -> DetectAndDenoise:
-    """The shipped defence of a victim, with its calibrated threshold."""
-    detector, sidecar = load_model(task, algo, "detector", root)
-    return DetectAndDenoise(
-        Detector(detector, sidecar["threshold"]), Denoiser(load_model(task, algo, denoiser, root)[0])
-    )
+def load_defense(task: str, algo: str, variant: str = "residual", root: Path = DATA) -> DetectAndDenoise:
+    """A shipped defence of a victim: a variant's denoiser with the detector of the same data and its threshold."""
+    denoiser, sidecar = load_model(task, algo, f"denoiser-{variant}", root)
+    detector, calibration = load_model(task, algo, f"detector-{sidecar['data']}", root)
+    return DetectAndDenoise(Detector(detector, calibration["threshold"]), Denoiser(denoiser))
 
 
 def load_record(name: str, root: Path = DATA) -> dict:

@@ -48,16 +48,27 @@ class Robot:
         """Forward kinematics of generalised positions ``[T, nq]``.
 
         Returns:
-            The centre of every capsule in metres, ``[T, G, 3]``, and the rotation of its axis from z, ``[T, G, 3, 3]``.
+            One end of every capsule's axis in metres, ``[T, G, 3]``, and the quaternion (x, y, z, w) that turns z into
+            the direction of the other end, ``[T, G, 4]``.
         """
         data = mujoco.MjData(self.model)
-        centres = np.empty((len(positions), len(self.geoms), 3))
-        rotations = np.empty((len(positions), len(self.geoms), 3, 3))
+        ends = np.empty((len(positions), len(self.geoms), 3))
+        turns = np.empty((len(positions), len(self.geoms), 4))
         for t, position in enumerate(positions):
             data.qpos[:] = position
             mujoco.mj_kinematics(self.model, data)
-            centres[t], rotations[t] = data.geom_xpos[self.geoms], data.geom_xmat[self.geoms].reshape(-1, 3, 3)
-        return centres, rotations
+            for g, geom in enumerate(self.geoms):
+                mujoco.mju_mat2Quat(turns[t, g], data.geom_xmat[geom])
+            axes = data.geom_xmat[self.geoms].reshape(-1, 3, 3)[..., 2]
+            ends[t] = data.geom_xpos[self.geoms] - axes * self.lengths[:, None] / 2
+        return ends, np.roll(turns, -1, axis=-1)
+
+    @property
+    def height(self) -> float:
+        """How high the robot stands at its starting pose, metres."""
+        data = mujoco.MjData(self.model)
+        mujoco.mj_kinematics(self.model, data)
+        return float(data.geom_xpos[self.geoms, 2].max())
 
     def imagined(self, positions: np.ndarray, obs: np.ndarray) -> np.ndarray:
         """Positions ``[T, nq]`` of the robot that an observation ``[T, obs_dim]`` describes, put where the true one is."""

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from detden_lite.defense.augmentation import Trajectories
 from detden_lite.defense.gruvae import GRUVAE
 from detden_lite.draws import Draws
 
@@ -41,6 +42,17 @@ class Detector:
         reconstruction = result.output[:, 0]
         score = linf_score(obs, reconstruction, self.model.obs_std)
         return score, score > self.threshold, reconstruction
+
+
+def clean_scores(detector: Detector, trajectories: Trajectories, batch: int = 128) -> np.ndarray:
+    """The scores that a detector gives to every observation of these trajectories, one after the other, ``[n]``."""
+    scores = []
+    for start in range(0, len(trajectories), batch):
+        part = trajectories.select(slice(start, start + batch))
+        detector.reset(range(start, start + len(part)))
+        steps = [detector.step(torch.from_numpy(obs))[0] for obs in part.obs.swapaxes(0, 1)]
+        scores.append(torch.stack(steps, 1).numpy()[part.mask])
+    return np.concatenate(scores)
 
 
 def calibrate(clean_scores: np.ndarray, false_alarm_rate: float = 0.01) -> float:

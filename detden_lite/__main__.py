@@ -1,0 +1,74 @@
+"""The recipe on the command line: ``python -m detden_lite STAGE --task hopper --algo td3 --scale lite``."""
+
+import argparse
+from pathlib import Path
+
+from detden_lite import stages
+from detden_lite.tasks import TASKS
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    top = argparse.ArgumentParser(
+        prog="python -m detden_lite",
+        description="Train, attack and defend a victim, stage by stage. A stage makes what is missing: after an interruption, "
+        "run it again and it goes on.",
+    )
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument("--task", choices=TASKS, default="hopper", help="default: %(default)s")
+    common.add_argument("--algo", choices=["td3"], default="td3", help="the victim's algorithm; default: %(default)s")
+    common.add_argument(
+        "--scale", choices=["tiny", "lite", "paper"], default="tiny",
+        help="seconds for a try, hours for what is shipped, days for the paper's sizes; default: %(default)s",
+    )  # fmt: skip
+    common.add_argument("--root", type=Path, help="folder of the run; default: runs/SCALE")
+    stage = top.add_subparsers(dest="stage", required=True, metavar="STAGE")
+
+    def add(name: str, text: str) -> argparse.ArgumentParser:
+        return stage.add_parser(name, parents=[common], help=text, description=text)
+
+    add("victim", "train one seed of the victim").add_argument("--seed", type=int, default=0)
+    add("select", "choose the best snapshot of all seeds, and evaluate it")
+    for name, text in (
+        ("collect", "collect D_normal, and held-out episodes for calibration"),
+        ("augment", "make D_adv from D_normal, offline"),
+        ("detector", "train the detector and calibrate its threshold"),
+    ):
+        add(name, text).add_argument(
+            "--data", choices=stages.DATASETS, default="diverse", help="exploration in D_normal; default: %(default)s"
+        )
+    add("denoiser", "train a denoiser").add_argument(
+        "--variant", choices=stages.VARIANTS, default="residual", help="default: %(default)s"
+    )
+    add("evaluate", "run every cell of the table").add_argument(
+        "--variants", nargs="+", choices=stages.VARIANTS, default=["residual"], help="default: %(default)s"
+    )
+    add("publish", "copy what is shipped into data/")
+    return top
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Run one stage."""
+    args = parser().parse_args(argv)
+    run = stages.Run.of(args.root or Path("runs") / args.scale, args.task, args.algo, args.scale)
+    match args.stage:
+        case "victim":
+            stages.train_victim(run, args.seed)
+        case "select":
+            stages.select_victim(run)
+        case "collect":
+            stages.collect(run, args.data)
+        case "augment":
+            stages.augment(run, args.data)
+        case "detector":
+            stages.train_detector(run, args.data)
+        case "denoiser":
+            stages.train_denoiser(run, args.variant)
+        case "evaluate":
+            stages.evaluate(run, args.variants)
+        case "publish":
+            stages.publish(run)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,249 @@
+"""The recipe's stages. Each makes the files of one folder that are missing, so that running it again resumes it."""
+
+import json
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors.torch import load_file
+from tqdm import tqdm
+
+from detden_lite import artifacts, metrics, study
+from detden_lite.attacks import OppositeAttack
+from detden_lite.budget import Budget
+from detden_lite.defense import Detector, augmentation
+from detden_lite.defense.augmentation import Trajectories
+from detden_lite.defense.detector import calibrate, clean_scores
+from detden_lite.defense.training import train_gruvae
+from detden_lite.rollout import rollout
+from detden_lite.scales import Scale, get_scale
+from detden_lite.tasks import Task, get_task
+from detden_lite.victim_training import train_td3
+from detden_lite.victims import Victim
+
+SHARD = 128  # trajectories of one file: what a killed run loses at most
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A defence as it is trained: the exploration in its D_normal, and whether its denoiser is residual."""
+
+    data: str
+    residual: bool
+
+
+DATASETS = {"plain": (0.0,), "diverse": (0.0, 0.1, 0.2, 0.3)}
+VARIANTS = {
+    "printed": Variant("plain", residual=False),
+    "diverse": Variant("diverse", residual=False),
+    "residual": Variant("diverse", residual=True),
+}
+
+
+@dataclass(frozen=True)
+class Run:
+    """A victim's folder of a run at one scale. ``root`` is laid out as data/ is, with a manifest of its own."""
+
+    root: Path
+    task: Task
+    algo: str
+    scale: Scale
+
+    @classmethod
+    def of(cls, root: Path, task: str, algo: str, scale: str) -> "Run":
+        """The run with these names; a ValueError for one that does not exist."""
+        if algo != "td3":
+            raise ValueError(f"unknown algorithm {algo!r}; choose one of: td3")
+        found = get_task(task)
+        return cls(Path(root), found, algo, get_scale(scale, found))
+
+    @property
+    def folder(self) -> Path:
+        return self.root / f"{self.task.name}-{self.algo}"
+
+    @property
+    def budget(self) -> Budget:
+        return Budget(self.task.epsilon)
+
+    def victim(self) -> Victim:
+        return artifacts.load_victim(self.task.name, self.algo, self.root)
+
+    def defense(self, variant: str):
+        return artifacts.load_defense(self.task.name, self.algo, variant, self.root)
+
+    def opposite(self, victim: Victim, seed: int = 0) -> OppositeAttack:
+        return OppositeAttack(victim, self.budget, steps=self.scale.attack_steps, seed=seed)
+
+
+def train_victim(run: Run, seed: int) -> None:
+    """Train one seed; its snapshots are kept in the run's checkpoints."""
+    train_td3(run.task, run.scale.victim, seed, run.folder / "checkpoints" / f"victim-{seed}")
+
+
+def select_victim(run: Run) -> None:
+    """Choose among all snapshots of all seeds, and ship the chosen one with its evaluation on fresh episodes.
+
+    Every snapshot plays 5 screening episodes (the learning curve); the ten best of these play selection episodes; the
+    best of those is shipped, and evaluated once on the report's episodes.
+    """
+    runs = sorted((run.folder / "checkpoints").glob("victim-*"))
+    if not runs:
+        raise ValueError(f"{run.folder / 'checkpoints'} holds no victim; run the victim stage first")
+    config = None
+    rows = []
+    for folder in runs:
+        recipe = json.loads((folder / "recipe.json").read_text())
+        net = [recipe["net"]] * 2
+        config = dict(
+            actor=[run.task.obs_dim, *net, run.task.action_dim], critic=[run.task.obs_dim + run.task.action_dim, *net, 1]
+        )
+        for snapshot in tqdm(sorted((folder / "snapshots").glob("*.safetensors")), desc=folder.name, unit="snapshot"):
+            mean = _returns(run, config, snapshot, study.seeds("screening", 5)).mean()
+            rows.append(dict(recipe=recipe, step=int(snapshot.stem), mean=float(mean), path=snapshot, config=config))
+    best = sorted(rows, key=lambda row: -row["mean"])[:10]
+    episodes = study.seeds("selection", run.scale.episodes)
+    for row in tqdm(best, desc="selection", unit="snapshot"):
+        row["selection"] = float(_returns(run, row["config"], row["path"], episodes).mean())
+    chosen = max(best, key=lambda row: row["selection"])
+    returns = _returns(run, chosen["config"], chosen["path"], study.seeds("report", run.scale.episodes))
+    curves = [
+        dict(seed=folder_rows[0]["recipe"]["seed"], steps=[r["step"] for r in folder_rows], mean=[r["mean"] for r in folder_rows])
+        for folder_rows in ([r for r in rows if r["path"].parent.parent == folder] for folder in runs)
+    ]
+    sidecar = dict(
+        task=run.task.name,
+        env_id=run.task.env_id,
+        algo=run.algo,
+        trained_with="sbx-rl",
+        recipe=chosen["recipe"],
+        step=chosen["step"],
+        selection_mean=chosen["selection"],
+        returns=returns.tolist(),
+        estimate=asdict(metrics.estimate(returns)),
+        learning_curves=curves,
+    )
+    victim = Victim.from_state(chosen["config"], load_file(chosen["path"]))
+    artifacts.save_victim(run.task.name, run.algo, victim, sidecar, run.root)
+
+
+def _returns(run: Run, config: dict, snapshot: Path, episode_seeds) -> np.ndarray:
+    victim = Victim.from_state(config, load_file(snapshot))
+    return rollout(victim, run.task, episode_seeds, steps=run.scale.horizon).returns
+
+
+def collect(run: Run, data: str) -> None:
+    """D_normal: clean episodes of the victim, and as many held-out ones, 1 for 8, for calibration."""
+    victim = run.victim()
+    for purpose, n in (("normal", run.scale.trajectories), ("calibration", max(4, run.scale.trajectories // 8))):
+        for path, part in _shards(run, purpose, data, n):
+            if not path.exists():
+                shard = augmentation.collect_normal(
+                    victim, run.task, study.seeds(purpose, n)[part], DATASETS[data], steps=run.scale.horizon
+                )
+                _save_shard(run, path, shard)
+
+
+def augment(run: Run, data: str) -> None:
+    """D_adv: the opposite attack on every observation of D_normal."""
+    victim = run.victim()
+    for index, (path, _) in enumerate(_shards(run, "normal", data, run.scale.trajectories)):
+        target = path.parent.with_name(f"adversarial-{data}") / path.name
+        if not target.exists():
+            attacked = augmentation.augment(_load_shard(run, path), run.opposite(victim), seed=index)
+            _save_shard(run, target, attacked)
+
+
+def train_detector(run: Run, data: str, seed: int = 0) -> None:
+    """Train on D_normal, and calibrate the threshold on held-out clean episodes."""
+    normal = load_trajectories(run, "normal", data)
+    model = train_gruvae(
+        run.scale.defense, [(normal, normal)], seed, run.folder / "checkpoints" / f"detector-{data}.ckpt",
+        label=f"detector on {data} data",
+    )  # fmt: skip
+    scores = clean_scores(Detector(model, np.inf), load_trajectories(run, "calibration", data))
+    sidecar = dict(
+        data=data, recipe=asdict(run.scale.defense), seed=seed, trajectories=len(normal),
+        threshold=calibrate(scores), calibration_quantiles=_quantiles(scores),
+    )  # fmt: skip
+    artifacts.save_model(run.task.name, run.algo, f"detector-{data}", model, sidecar, run.root)
+
+
+def train_denoiser(run: Run, name: str, seed: int = 0) -> None:
+    """Train a variant's denoiser on D_normal and D_adv."""
+    variant = VARIANTS[name]
+    normal = load_trajectories(run, "normal", variant.data)
+    adversarial = load_trajectories(run, "adversarial", variant.data)
+    recipe = replace(run.scale.defense, residual=variant.residual)
+    model = train_gruvae(
+        recipe, [(normal, normal), (adversarial, normal)], seed, run.folder / "checkpoints" / f"denoiser-{name}.ckpt",
+        label=f"{name} denoiser",
+    )  # fmt: skip
+    sidecar = dict(data=variant.data, recipe=asdict(recipe), seed=seed, trajectories=len(normal))
+    artifacts.save_model(run.task.name, run.algo, f"denoiser-{name}", model, sidecar, run.root)
+
+
+def cells(variants=tuple(VARIANTS)) -> list[study.Cell]:
+    """The cells of the first table."""
+    found = [study.Cell()]
+    found += [study.Cell(attack) for attack in ("uniform", "gaussian", "fgsm", "opposite")]
+    found += [study.Cell("opposite", "vulnerable"), study.Cell("opposite", "random")]
+    for name in variants:
+        found += [study.Cell(defense=name), study.Cell("opposite", "always", name), study.Cell("opposite", "vulnerable", name)]
+    return found
+
+
+def evaluate(run: Run, variants=tuple(VARIANTS)) -> None:
+    """Every cell of the table, a record each; C_vul is tuned first."""
+    victim = run.victim()
+    threat = study.Threat(run.budget, run.scale.attack_steps)
+    path = run.folder / "timing.json"
+    if not path.exists():
+        artifacts.write_json(path, study.tune_vulnerable(run.task, victim, threat, steps=run.scale.horizon), run.root)
+    tuned = artifacts.read_json(path, run.root)
+    threat = replace(threat, c_vul=tuned["c_vul"], rate=tuned["attack_rate"])
+    for cell in cells(variants):
+        name = cell.record_name(run.task.name, run.algo)
+        path = run.root / "results" / f"{name}.json"
+        if not path.exists():
+            defense = None if cell.defense == "none" else run.defense(cell.defense)
+            record, _ = study.run_cell(
+                cell, run.task, victim, threat, defense, study.seeds("report", run.scale.episodes),
+                run.scale.horizon, progress=name,
+            )  # fmt: skip
+            artifacts.write_json(path, record, run.root)
+            print(f"{name}: {metrics.Estimate(**record['estimate'])}")
+
+
+def publish(run: Run, data: Path = artifacts.DATA) -> None:
+    """Copy what is shipped (models, sidecars, records; no trajectories, no checkpoints) from the run to data/."""
+    for path in sorted([*run.folder.glob("*.*"), *(run.root / "results").glob(f"{run.folder.name}.*.json")]):
+        artifacts.write_bytes(data / path.relative_to(run.root), artifacts.read_bytes(path, run.root), data)
+
+
+def load_trajectories(run: Run, kind: str, data: str) -> Trajectories:
+    """All shards of "normal", "adversarial" or "calibration" trajectories of a dataset."""
+    paths = sorted((run.folder / f"{kind}-{data}").glob("*.safetensors"))
+    if not paths:
+        raise ValueError(f"{run.folder / f'{kind}-{data}'} is empty; run the {'augment' if kind == 'adversarial' else 'collect'} stage first")
+    shards = [_load_shard(run, path) for path in paths]
+    return Trajectories(np.concatenate([s.obs for s in shards]), np.concatenate([s.lengths for s in shards]))
+
+
+def _shards(run: Run, purpose: str, data: str, n: int) -> list[tuple[Path, slice]]:
+    folder = run.folder / f"{purpose}-{data}"
+    return [(folder / f"{i:05d}.safetensors", slice(i, min(i + SHARD, n))) for i in range(0, n, SHARD)]
+
+
+def _save_shard(run: Run, path: Path, shard: Trajectories) -> None:
+    state = dict(obs=torch.from_numpy(shard.obs), lengths=torch.from_numpy(shard.lengths))
+    artifacts.save_tensors(path, state, dict(task=run.task.name, episodes=len(shard)), run.root)
+
+
+def _load_shard(run: Run, path: Path) -> Trajectories:
+    state, _ = artifacts.load_tensors(path, run.root)
+    return Trajectories(state["obs"].numpy(), state["lengths"].numpy())
+
+
+def _quantiles(scores: np.ndarray) -> dict[str, float]:
+    return {str(q): float(np.quantile(scores, q)) for q in (0.5, 0.9, 0.99, 0.999)}

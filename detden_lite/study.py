@@ -1,0 +1,159 @@
+"""One cell of a table: a victim, an attack, its timing and a defence, run and written down as a result record."""
+
+import time
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import torch
+
+from detden_lite.artifacts import versions
+from detden_lite.attacks import Always, GaussianNoise, OppositeAttack, Random, UniformNoise, Vulnerable
+from detden_lite.budget import Budget
+from detden_lite.metrics import summarize
+from detden_lite.rollout import Episodes, rollout
+from detden_lite.tasks import Task
+from detden_lite.victims import Victim
+
+# Where the seeds of episodes begin, by what they are for: what is tuned on is never reported.
+SEEDS = dict(normal=1_000_000, calibration=2_000_000, screening=3_000_000, selection=4_000_000, tuning=5_000_000, report=6_000_000)
+
+
+def seeds(purpose: str, n: int) -> range:
+    """The first n episode seeds for a purpose: a key of ``SEEDS``."""
+    return range(SEEDS[purpose], SEEDS[purpose] + n)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What is done to whom. The names are those of the book's tables.
+
+    Args:
+        attack: "none", "uniform", "gaussian", "fgsm" or "opposite".
+        timing: "always", "vulnerable" or "random".
+        defense: "none", or the name of a shipped defence.
+    """
+
+    attack: str = "none"
+    timing: str = "always"
+    defense: str = "none"
+
+    def record_name(self, task: str, algo: str) -> str:
+        """The record's file name without its ending."""
+        return ".".join([f"{task}-{algo}", self.attack, self.timing, self.defense])
+
+
+@dataclass(frozen=True)
+class Threat:
+    """The attacker's settings that all cells of a victim share."""
+
+    budget: Budget
+    steps: int = 20
+    restarts: int = 1
+    c_vul: float = -np.inf  # threshold of the vulnerable timing
+    rate: float = 1.0  # of the random timing
+
+    def attack(self, name: str, victim: Victim):
+        """The attack of this name, or None for "none"."""
+        match name:
+            case "none":
+                return None
+            case "uniform":
+                return UniformNoise(self.budget)
+            case "gaussian":
+                return GaussianNoise(self.budget)
+            case "fgsm":
+                return OppositeAttack(victim, self.budget, steps=1)
+            case "opposite":
+                return OppositeAttack(victim, self.budget, self.steps, self.restarts)
+        raise ValueError(f"attack must be none, uniform, gaussian, fgsm or opposite, not {name!r}")
+
+    def timing(self, name: str, victim: Victim):
+        """The timing of this name."""
+        match name:
+            case "always":
+                return Always()
+            case "vulnerable":
+                return Vulnerable(victim, self.c_vul)
+            case "random":
+                return Random(self.rate)
+        raise ValueError(f"timing must be always, vulnerable or random, not {name!r}")
+
+
+def run_cell(
+    cell: Cell, task: Task, victim: Victim, threat: Threat, defense, episode_seeds, steps: int | None = None, progress=None
+) -> tuple[dict, Episodes]:
+    """Run a cell. Returns its record, ready for JSON, and the episodes.
+
+    Args:
+        cell: what to run.
+        task: where.
+        victim: whom.
+        threat: the attacker's settings.
+        defense: the defence called ``cell.defense``; None for "none".
+        episode_seeds: one an episode; the same for all cells of a table.
+        steps: the longest an episode may be; the task's horizon by default.
+        progress: text of a progress bar, None for no bar.
+    """
+    if (defense is None) != (cell.defense == "none"):
+        raise ValueError(f"defense: the cell says {cell.defense!r}, so give {'None' if defense is not None else 'one'}")
+    start = time.perf_counter()
+    episodes = rollout(
+        victim, task, episode_seeds,
+        attack=threat.attack(cell.attack, victim), timing=threat.timing(cell.timing, victim),
+        defense=defense, steps=steps, progress=progress,
+    )  # fmt: skip
+    settings = dict(epsilon=threat.budget.epsilon, norm=str(threat.budget.norm), steps=threat.steps, restarts=threat.restarts)
+    if cell.timing == "vulnerable":
+        settings["c_vul"] = threat.c_vul
+    if cell.timing == "random":
+        settings["rate"] = threat.rate
+    if defense is not None:
+        settings["c_anomaly"] = defense.detector.threshold
+    record = dict(
+        task=task.name,
+        cell=asdict(cell),
+        settings=settings,
+        seeds=[int(episode_seeds[0]), len(episode_seeds)],
+        **summarize(episodes),
+        seconds=time.perf_counter() - start,
+        versions=versions(),
+    )
+    return record, episodes
+
+
+def tune_vulnerable(
+    task: Task, victim: Victim, threat: Threat, n: int = 32, keep: float = 0.9, steps: int | None = None
+) -> dict:
+    """Choose C_vul on tuning episodes: the smallest that keeps 90 % of the damage of attacking always (appendix C.2).
+
+    Returns:
+        The chosen ``c_vul``, and the whole ``sweep`` it was chosen from, ready for JSON.
+    """
+    episode_seeds = seeds("tuning", n)
+
+    def measure(attack, timing) -> Episodes:
+        return rollout(victim, task, episode_seeds, attack=attack, timing=timing, steps=steps)
+
+    clean = measure(None, None)
+    values = victim.value(torch.from_numpy(clean.obs[clean.mask])).numpy()
+    attack = threat.attack("opposite", victim)
+    damage = clean.returns.mean() - measure(attack, Always()).returns.mean()
+    sweep = []
+    for quantile in (0.01, 0.03, 0.1, 0.25, 0.5, 0.75, 0.9, 0.99):
+        c_vul = float(np.quantile(values, quantile))
+        attacked = measure(attack, Vulnerable(victim, c_vul))
+        sweep.append(
+            dict(
+                quantile=quantile,
+                c_vul=c_vul,
+                attack_rate=float(attacked.attacked[attacked.mask].mean()),
+                attacks=float((attacked.attacked & attacked.mask).sum(0).mean()),
+                mean_return=float(attacked.returns.mean()),
+            )
+        )
+    enough = [row for row in sweep if clean.returns.mean() - row["mean_return"] >= keep * damage]
+    chosen = (enough or sweep[-1:])[0]
+    return dict(
+        c_vul=chosen["c_vul"], attack_rate=chosen["attack_rate"], clean_return=float(clean.returns.mean()),
+        always_return=float(clean.returns.mean() - damage), sweep=sweep, seeds=[episode_seeds[0], n],
+    )  # fmt: skip
