@@ -24,7 +24,7 @@ def get_scale(name: str, task: Task) -> Scale:
     sizes = dict(hidden=task.hidden, layers=task.layers, latent=task.latent, learning_rate=task.learning_rate)
     if name == "tiny":
         return Scale(
-            victim=TD3Recipe(steps=1_000, segment=500, net=32, batch=32, learning_starts=200),
+            victim=TD3Recipe(steps=1_000, segment=500, net=32, batch=32, buffer=1_000, learning_starts=200),
             defense=VAERecipe(hidden=16, layers=1, latent=8, epochs=2, batch=4, chunk=25),
             trajectories=8,
             horizon=50,

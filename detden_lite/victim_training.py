@@ -23,11 +23,12 @@ class TD3Recipe:
     that are seeded by (seed, segment), so that a run that was killed and resumed equals one that was not.
     """
 
-    steps: int = 1_000_000
+    steps: int = 500_000
     segment: int = 20_000
     net: int = 256
     learning_rate: float = 1e-3
     batch: int = 128
+    buffer: int = 1_000_000  # transitions in the replay buffer
     learning_starts: int = 10_000
     action_noise: float = 0.1
     updates: int = 50  # environment steps, and as many gradient steps, in one compiled call
@@ -52,8 +53,7 @@ def train_td3(task: Task, recipe: TD3Recipe, seed: int, folder: Path) -> list[Pa
     from stable_baselines3.common.noise import NormalActionNoise
 
     folder = Path(folder)
-    description = json.dumps(dict(task=task.name, seed=seed, **asdict(recipe)), indent=1)
-    _claim(folder, description)
+    _claim(folder, dict(task=task.name, seed=seed, **asdict(recipe)))
     checkpoint, snapshots = folder / "checkpoint", folder / "snapshots"
     snapshots.mkdir(exist_ok=True)
     env = gymnasium.make(task.env_id)
@@ -69,7 +69,7 @@ def train_td3(task: Task, recipe: TD3Recipe, seed: int, folder: Path) -> list[Pa
             learning_rate=recipe.learning_rate,
             batch_size=recipe.batch,
             learning_starts=recipe.learning_starts,
-            buffer_size=recipe.steps,
+            buffer_size=recipe.buffer,
             train_freq=recipe.updates,
             gradient_steps=recipe.updates,
             action_noise=NormalActionNoise(np.zeros(action_dim), np.full(action_dim, recipe.action_noise)),
@@ -94,12 +94,13 @@ def train_td3(task: Task, recipe: TD3Recipe, seed: int, folder: Path) -> list[Pa
     return sorted(snapshots.glob("*.safetensors"))
 
 
-def _claim(folder: Path, description: str) -> None:
+def _claim(folder: Path, description: dict) -> None:
+    description = {key: value for key, value in description.items() if key != "steps"}  # a run may be prolonged
     folder.mkdir(parents=True, exist_ok=True)
     recipe_file = folder / "recipe.json"
-    if recipe_file.exists() and recipe_file.read_text() != description:
+    if recipe_file.exists() and json.loads(recipe_file.read_text()) != description:
         raise ValueError(f"{recipe_file} describes another run; choose another folder, or remove {folder}")
-    recipe_file.write_text(description)
+    recipe_file.write_text(json.dumps(description, indent=1))
 
 
 def _save_checkpoint(model, checkpoint: Path, segments: int) -> None:
