@@ -29,7 +29,10 @@ class Robot:
     def of(cls, task: Task) -> "Robot":
         """The robot of a task, from gymnasium's own model of it."""
         env = gymnasium.make(task.env_id).unwrapped
-        names, hidden = _observation_names(env.model, env.observation_structure), env.observation_structure["skipped_qpos"]
+        names, hidden = (
+            _observation_names(env.model, env.observation_structure),
+            env.observation_structure["skipped_qpos"],
+        )
         env.close()
         return cls(env.model, float(env.dt), np.flatnonzero(env.model.geom_bodyid > 0), names, hidden)
 
@@ -64,11 +67,13 @@ class Robot:
         return ends, np.roll(turns, -1, axis=-1)
 
     @property
-    def height(self) -> float:
-        """How high the robot stands at its starting pose, metres."""
+    def extent(self) -> np.ndarray:
+        """Length, width and height of the robot as the model has it before it moves, metres, ``[3]``."""
         data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, data)
-        return float(data.geom_xpos[self.geoms, 2].max())
+        reach = (self.lengths / 2 + self.radii)[:, None] * np.abs(data.geom_xmat[self.geoms].reshape(-1, 3, 3)[..., 2])
+        centres = data.geom_xpos[self.geoms]
+        return (centres + reach).max(0) - (centres - reach).min(0)
 
     def imagined(self, positions: np.ndarray, obs: np.ndarray) -> np.ndarray:
         """Positions ``[T, nq]`` of the robot that an observation ``[T, obs_dim]`` describes, put where the true one is."""

@@ -26,8 +26,9 @@ from detden_lite.playback import COLOURS, GREY, Robot, Take, takes
 from detden_lite.rollout import Episodes
 from detden_lite.tasks import Task
 
-WHITE, ORANGE, GREEN = (225, 225, 225), COLOURS[1], COLOURS[2]
-TRACES = {"true": WHITE, "perturbed": ORANGE, "denoised": GREEN}
+WHITE, PINK, GREEN = (225, 225, 225), COLOURS[3], COLOURS[2]
+TRACES = {"true": WHITE, "perturbed": PINK, "denoised": GREEN}
+NO_LEGEND = rrb.PlotLegend(visible=False)  # it would cover the plots; colours mean the same everywhere
 
 
 def record(
@@ -100,6 +101,11 @@ def _times(steps: np.ndarray, dt: float) -> list[rr.TimeColumn]:
     return [rr.TimeColumn("step", sequence=steps), rr.TimeColumn("time", duration=steps * dt)]
 
 
+def _changes(flags: np.ndarray) -> np.ndarray:
+    """The steps at which flags ``[T]`` begin to be on or off."""
+    return np.flatnonzero(np.diff(flags, prepend=~flags[:1]))
+
+
 def _traces(shot: Take) -> dict[str, np.ndarray]:
     """The observations ``[T, obs_dim]`` that this take has: only an attack perturbs, only a defence denoises."""
     traces = {"true": shot.obs}
@@ -128,10 +134,10 @@ def _log_signals(stream: rr.RecordingStream, robot: Robot, shot: Take, dims: Seq
     if "denoised" in traces:
         level = np.full(len(shot), np.nan if threshold is None else threshold)
         plot("score", {"score": shot.score, "threshold": level}, [shot.colour, WHITE])
-    for name, flags, colour in (("attacked", shot.attacked, ORANGE), ("alarm", shot.alarm, GREEN)):
+    for name, flags, colour in (("attacked", shot.attacked, PINK), ("alarm", shot.alarm, GREEN)):
         look = rr.StateConfiguration(values=["on", "off"], labels=[name, " "], colors=[colour, (52, 54, 58)])
         stream.log(f"{shot.name}/{name}", look, static=True)
-        changes = np.flatnonzero(np.diff(flags, prepend=~flags[:1]))
+        changes = _changes(flags)
         states = rr.StateChange.columns(state=np.where(flags[changes], "on", "off"))
         stream.send_columns(f"{shot.name}/{name}", _times(changes, robot.dt), states)
 
@@ -147,17 +153,27 @@ def _log_scene(stream: rr.RecordingStream, robot: Robot, shot: Take, frame_rate:
     colours = {0: shot.colour} | ({last: GREY} if shot.fell else {})
     _log_body(stream, robot, f"{shot.name}/robot", steps, shot.positions[steps], colours)
     if shot.fell:
-        head = where[-1:] + [0, 0, 1.3 * robot.height]
-        label = rr.Points3D.columns(positions=head, radii=[0.0], labels=[f"fell at step {len(shot)}"], colors=[shot.colour])
+        head = where[-1:] + [0, 0, 1.2 * robot.extent[2]]
+        label = rr.Points3D.columns(
+            positions=head, radii=[0.0], labels=[f"fell at step {len(shot)}"], colors=[shot.colour]
+        )
         stream.send_columns(f"{shot.name}/fall", _times(np.array([last]), robot.dt), label)
     if shot.attacked.any():
         seen = steps[steps < len(shot)]
         ghost = robot.imagined(shot.positions[seen], shot.perturbed[seen])
-        _log_body(stream, robot, f"{shot.name}/ghost", seen, ghost, {0: (*ORANGE, 80)})
+        colours = {step: (*PINK, 110 if shot.attacked[step] else 0) for step in _changes(shot.attacked).tolist()}
+        if shot.fell:
+            colours[last] = (*PINK, 0)
+        _log_body(stream, robot, f"{shot.name}/ghost", seen, ghost, colours)
 
 
 def _log_body(
-    stream: rr.RecordingStream, robot: Robot, name: str, steps: np.ndarray, positions: np.ndarray, colours: dict[int, tuple]
+    stream: rr.RecordingStream,
+    robot: Robot,
+    name: str,
+    steps: np.ndarray,
+    positions: np.ndarray,
+    colours: dict[int, tuple],
 ) -> None:
     n = len(robot.geoms)
     ends, turns = robot.poses(positions)
@@ -179,15 +195,15 @@ def _floor(where: np.ndarray, directions: int) -> rr.LineStrips3D:
 
 
 def _blueprint(robot: Robot, shots: Sequence[Take], dims: Sequence[int]) -> rrb.Blueprint:
-    size = robot.height
+    size, height = robot.extent.max(), robot.extent[2]
     eye = rrb.EyeControls3D(
-        kind="orbital", position=(-0.9 * size, -2.6 * size, 1.2 * size), look_target=(0, 0, 0.5 * size), eye_up=(0, 0, 1)
+        kind="orbital", position=(-0.5 * size, -1.6 * size, 0.4 * size + 0.5 * height), look_target=(0, 0, 0.5 * height)
     )
     scenes = [
         rrb.Spatial3DView(
             origin=f"{shot.name}/camera",
             contents=f"/{shot.name}/**",
-            name=f"{shot.name}: {len(shot)} steps, return {shot.reward.sum():,.0f}",
+            name=shot.name,
             background=(30, 32, 36),
             line_grid=False,
             eye_controls=eye,
@@ -199,8 +215,9 @@ def _blueprint(robot: Robot, shots: Sequence[Take], dims: Sequence[int]) -> rrb.
         _observation_view(shots[-1], robot.names[dims[i]], i, len(dims)) for i in _most_moved(shots[-1], dims)
     ]
     flags = rrb.StateTimelineView(contents=[f"/{last}/attacked", f"/{last}/alarm"], name=f"{last}: attacks and alarms")
-    score = rrb.TimeSeriesView(origin=f"{last}/score", name="detector score")
-    returns = rrb.TimeSeriesView(contents=[f"/{shot.name}/reward" for shot in shots], name="return so far")
+    score = rrb.TimeSeriesView(contents=f"/{last}/score", name="detector score and threshold", plot_legend=NO_LEGEND)
+    paths = [f"/{shot.name}/reward" for shot in shots]
+    returns = rrb.TimeSeriesView(contents=paths, name="return so far", plot_legend=NO_LEGEND)
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(*scenes),
@@ -220,10 +237,10 @@ def _observation_view(shot: Take, name: str, position: int, count: int) -> rrb.T
     traces = len(_traces(shot))
     only = rr.SeriesLines.from_fields(visible_series=[i // traces == position for i in range(count * traces)])
     path = f"/{shot.name}/observation"
-    return rrb.TimeSeriesView(contents=path, name=name, overrides={path: only})
+    return rrb.TimeSeriesView(contents=path, name=name, overrides={path: only}, plot_legend=NO_LEGEND)
 
 
-def _most_moved(shot: Take, dims: Sequence[int], count: int = 4) -> list[int]:
+def _most_moved(shot: Take, dims: Sequence[int], count: int = 3) -> list[int]:
     """Where in ``dims`` the attack is largest, compared with how much that observation varies by itself."""
     moved = np.abs(shot.perturbed - shot.obs)[:, dims].mean(0) / (shot.obs[:, dims].std(0) + 1e-6)
     return sorted(np.argsort(-moved, kind="stable")[:count])
