@@ -1,0 +1,135 @@
+"""Checks of the chapter on offline augmentation and the denoiser."""
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from detden_lite.defense.gruvae import GRUVAE, kl_divergence, reconstruction_loss
+
+
+def check_augment(augment: Callable[[Tensor, Callable[[Tensor], Tensor]], tuple[Tensor, Tensor]]) -> None:
+    """``augment(obs, attack)`` gives the denoiser's (input, target); obs is ``[episodes, steps, obs_dim]``."""
+    obs = torch.randn(3, 5, 2, generator=torch.Generator().manual_seed(0))
+    given = obs.clone()
+    shapes = []
+
+    def attack(rows: Tensor) -> Tensor:
+        shapes.append(list(rows.shape))
+        assert rows.ndim == 2, f"an attack takes rows [N, obs_dim]; yours was given the shape {list(rows.shape)}"
+        assert rows.shape[1] == 2, f"obs_dim is 2 here, but the attack was given rows of {rows.shape[1]} numbers"
+        return rows + 0.1 * torch.stack([rows[:, 1], -rows[:, 0]], 1).sign()
+
+    result = augment(given, attack)
+    assert isinstance(result, tuple) and len(result) == 2, "return two tensors: inputs, targets"
+    inputs, targets = result
+    assert shapes, "the attack was never called"
+    assert torch.equal(given, obs), "obs itself was changed: D_normal must stay clean, it is the target"
+    for name, tensor in (("inputs", inputs), ("targets", targets)):
+        assert tensor.shape == obs.shape, (
+            f"{name} should have the trajectories' shape {list(obs.shape)}; yours has {list(tensor.shape)}"
+        )
+    expected = attack(obs.reshape(-1, 2)).reshape(obs.shape)
+    assert not (torch.equal(inputs, obs) and torch.allclose(targets, expected)), (
+        "inputs and targets have changed places: the denoiser is shown what is attacked, and asked for what is true"
+    )
+    assert not torch.allclose(targets, expected), (
+        "the targets are attacked too: the denoiser must be asked for the truth"
+    )
+    assert torch.equal(targets, obs), "the targets should be the clean observations, as they are"
+    touched = (inputs != obs).any(-1)
+    assert touched.all(), (
+        f"{int((~touched).sum())} of {touched.numel()} observations are not attacked; D_adv attacks every one"
+    )
+    assert torch.allclose(inputs, expected), (
+        "every observation is attacked, but they are not where they belong: undo the reshape in the same order"
+    )
+    print("Right: attacked in, clean out, and no robot was moved for it.")
+
+
+def check_denoiser_loss(loss: Callable[..., Tensor]) -> None:
+    """``loss(model, true, perturbed, noise, beta)`` is -beta times the denoiser's ELBO, up to a constant."""
+    torch.manual_seed(0)
+    model = GRUVAE(obs_dim=3, hidden=8, latent=4)
+    model.set_statistics(torch.zeros(3), torch.tensor([1.0, 2.0, 0.5]))
+    true = torch.randn(2, 6, 3)
+    perturbed, noise, beta = true + 0.3 * torch.randn(2, 6, 3), torch.randn(2, 6, 4), 0.1
+    with torch.no_grad():
+        result = loss(model, true, perturbed, noise, beta)
+
+        def value(shown: Tensor, wanted: Tensor, weight: float = beta) -> Tensor:
+            out = model(shown, noise)
+            kl = kl_divergence(out.mean, out.log_variance)
+            return (reconstruction_loss(model, out.output, wanted) + weight * kl).mean()
+
+        assert isinstance(result, Tensor) and result.ndim == 0, (
+            "the loss is one number: take the mean of the steps' losses"
+        )
+        mistakes = {
+            "the network is shown the true observation and asked for the perturbed one": value(true, perturbed),
+            "the network is shown the perturbed observation and asked for the same: that is a detector of attacked "
+            "trajectories, not a denoiser": value(perturbed, perturbed),
+            "the network is shown the true observation and asked for the same: that is a detector": value(true, true),
+            "the KL is subtracted: an ELBO subtracts it and is maximised, a loss adds it and is minimised": value(
+                perturbed, true, -beta
+            ),
+            "beta is missing before the KL": value(perturbed, true, 1.0),
+            "the KL is missing": value(perturbed, true, 0.0),
+        }
+        for message, wrong in mistakes.items():
+            assert not torch.isclose(result, wrong, rtol=1e-5), message
+        right = value(perturbed, true)
+    assert torch.isclose(result, right, rtol=1e-4), f"the loss should be {right:.4f} here; yours is {result:.4f}"
+    print("Right: shown what is perturbed, asked for what is true.")
+
+
+def check_replace_on_alarm(replace_on_alarm: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None:
+    """``replace_on_alarm(obs, denoised, alarm)`` is what the policy is shown, ``[N, obs_dim]``."""
+    obs, denoised = torch.arange(9.0).reshape(3, 3), -torch.arange(9.0).reshape(3, 3) - 1
+    alarm = torch.tensor([True, False, False])
+    given = obs.clone()
+    result = replace_on_alarm(given, denoised, alarm)
+    assert torch.equal(given, obs), "obs itself was changed: both networks and the record still need it"
+    assert isinstance(result, Tensor) and result.shape == obs.shape, (
+        f"the policy sees one observation an episode, {list(obs.shape)}; yours has "
+        f"{list(result.shape) if isinstance(result, Tensor) else type(result).__name__}"
+    )
+    assert not torch.equal(result, torch.where(alarm, denoised, obs)), (
+        "an alarm has replaced one DIMENSION of every episode, not every dimension of one EPISODE: "
+        "alarm is [N] and obs [N, obs_dim], so alarm needs an axis more"
+    )
+    assert not torch.equal(result, torch.where(alarm[:, None], obs, denoised)), (
+        "it is the wrong way round: the denoised observation is for the episodes with an alarm"
+    )
+    assert torch.equal(result[0], denoised[0]), (
+        f"episode 0 has an alarm: it gets {denoised[0].tolist()}, not {result[0].tolist()}"
+    )
+    assert torch.equal(result[1:], obs[1:]), "episodes without an alarm keep their observation, bit for bit"
+    print("Right: without an alarm the policy sees exactly what came in.")
+
+
+def check_mae_attacked(mae: Callable[..., float]) -> None:
+    """``mae(denoised, obs, attacked, mask)`` is the mean absolute error on attacked steps of episodes still going."""
+    obs = np.zeros((4, 2, 3))
+    denoised = np.stack([np.full((2, 3), error) for error in (0.1, 0.3, 0.8, 5.0)])
+    denoised[..., 0] *= -1  # an error has a sign until its absolute value is taken
+    attacked = np.array([[1, 1], [1, 0], [0, 0], [1, 1]], dtype=bool)
+    mask = np.array([[1, 1], [1, 1], [1, 1], [0, 0]], dtype=bool)
+    result = float(mae(denoised, obs, attacked, mask))
+    error = np.abs(denoised - obs)
+    right = error[attacked & mask].mean()
+    mistakes = {
+        "steps after an episode's end are counted (mask is False there)": error[attacked].mean(),
+        "steps that were not attacked are counted": error[mask].mean(),
+        "all steps are counted, attacked or not, alive or not": error.mean(),
+        "errors of opposite signs cancel: take the absolute value first": (denoised - obs)[attacked & mask].mean(),
+        "that is the error summed over the dimensions; take the mean": error[attacked & mask].sum(-1).mean(),
+        "the errors are summed over the right steps, but divided by the number of all of them": (
+            error * (attacked & mask)[..., None]
+        ).mean(),
+    }
+    for message, wrong in mistakes.items():
+        assert not np.isclose(result, wrong), f"{message}; it should be {right:.4f}, yours is {result:.4f}"
+    assert np.isclose(result, right), f"it should be {right:.4f}; yours is {result:.4f}"
+    print("Right: the paper's table 3 has this number, in the observation's own units.")

@@ -1,0 +1,105 @@
+"""Every check passes on a solution, lets a stub's NotImplementedError through, and fails on plausible mistakes."""
+
+import numpy as np
+import pytest
+import torch
+
+from detden_lite.checks import denoiser as checks
+from detden_lite.defense.gruvae import kl_divergence, reconstruction_loss
+
+
+def augment(obs, attack):
+    return attack(obs.reshape(-1, obs.shape[-1])).reshape(obs.shape), obs
+
+
+def denoiser_loss(model, true, perturbed, noise, beta):
+    result = model(perturbed, noise)
+    kl = kl_divergence(result.mean, result.log_variance)
+    return (reconstruction_loss(model, result.output, true) + beta * kl).mean()
+
+
+def replace_on_alarm(obs, denoised, alarm):
+    return torch.where(alarm[:, None], denoised, obs)
+
+
+def mae(denoised, obs, attacked, mask):
+    return np.abs(denoised - obs)[attacked & mask].mean()
+
+
+def test_the_solutions_pass(capsys):
+    checks.check_augment(augment)
+    checks.check_denoiser_loss(denoiser_loss)
+    checks.check_replace_on_alarm(replace_on_alarm)
+    checks.check_mae_attacked(mae)
+    assert capsys.readouterr().out.count("Right") == 4
+
+
+@pytest.mark.parametrize(
+    "check",
+    [checks.check_augment, checks.check_denoiser_loss, checks.check_replace_on_alarm, checks.check_mae_attacked],
+)
+def test_a_stub_is_let_through(check):
+    def stub(*arguments):
+        raise NotImplementedError("Exercise 4.1: a title")
+
+    with pytest.raises(NotImplementedError):
+        check(stub)
+
+
+def _only_the_last(obs, attack):
+    inputs = obs.clone()
+    inputs[:, -1] = attack(obs[:, -1])
+    return inputs, obs
+
+
+def _in_place(obs, attack):
+    for steps in obs:
+        steps[:] = attack(steps)
+    return obs, obs
+
+
+def _shuffled(obs, attack):
+    rows = attack(obs.swapaxes(0, 1).reshape(-1, obs.shape[-1]))
+    return rows.reshape(obs.shape), obs
+
+
+def _replaced_in_place(obs, denoised, alarm):
+    obs[alarm] = denoised[alarm]
+    return obs
+
+
+@pytest.mark.parametrize(
+    ("check", "mistake", "says"),
+    [
+        (checks.check_augment, lambda obs, attack: (attack(obs), obs), "takes rows"),
+        (checks.check_augment, lambda obs, attack: augment(obs, attack)[::-1], "changed places"),
+        (checks.check_augment, lambda obs, attack: (augment(obs, attack)[0],) * 2, "targets are attacked too"),
+        (checks.check_augment, lambda obs, attack: (obs, obs), "never called"),
+        (checks.check_augment, lambda obs, attack: augment(obs, attack)[0], "two tensors"),
+        (checks.check_augment, _only_the_last, "not attacked"),
+        (checks.check_augment, _in_place, "obs itself was changed"),
+        (checks.check_augment, _shuffled, "where they belong"),
+        (checks.check_denoiser_loss, lambda m, t, p, n, b: denoiser_loss(m, p, t, n, b), "shown the true"),
+        (checks.check_denoiser_loss, lambda m, t, p, n, b: denoiser_loss(m, p, p, n, b), "not a denoiser"),
+        (checks.check_denoiser_loss, lambda m, t, p, n, b: denoiser_loss(m, t, t, n, b), "that is a detector$"),
+        (checks.check_denoiser_loss, lambda m, t, p, n, b: denoiser_loss(m, t, p, n, -b), "subtracted"),
+        (checks.check_denoiser_loss, lambda m, t, p, n, b: denoiser_loss(m, t, p, n, 1), "beta is missing"),
+        (checks.check_denoiser_loss, lambda m, t, p, n, b: denoiser_loss(m, t, p, n, 0), "KL is missing"),
+        (checks.check_denoiser_loss, lambda m, t, p, n, b: denoiser_loss(m, t, p, 2 * n, b), "should be"),
+        (checks.check_denoiser_loss, lambda m, t, p, n, b: denoiser_loss(m, t, p, n, b).expand(2), "one number"),
+        (checks.check_replace_on_alarm, lambda obs, den, alarm: torch.where(alarm, den, obs), "DIMENSION"),
+        (checks.check_replace_on_alarm, lambda obs, den, alarm: replace_on_alarm(den, obs, alarm), "wrong way round"),
+        (checks.check_replace_on_alarm, lambda obs, den, alarm: den, "bit for bit"),
+        (checks.check_replace_on_alarm, lambda obs, den, alarm: den[alarm], "one observation an episode"),
+        (checks.check_replace_on_alarm, _replaced_in_place, "obs itself was changed"),
+        (checks.check_mae_attacked, lambda d, o, a, m: mae(d, o, a, a), "after an episode's end"),
+        (checks.check_mae_attacked, lambda d, o, a, m: mae(d, o, m, m), "not attacked are counted"),
+        (checks.check_mae_attacked, lambda d, o, a, m: np.abs(d - o).mean(), "all steps"),
+        (checks.check_mae_attacked, lambda d, o, a, m: (d - o)[a & m].mean(), "cancel"),
+        (checks.check_mae_attacked, lambda d, o, a, m: ((d - o) ** 2)[a & m].mean(), "should be"),
+        (checks.check_mae_attacked, lambda d, o, a, m: (np.abs(d - o) * (a & m)[..., None]).mean(), "divided"),
+    ],
+)
+def test_a_mistake_is_told(check, mistake, says):
+    with pytest.raises(AssertionError, match=says):
+        check(mistake)

@@ -1,0 +1,94 @@
+"""Every check passes on a solution, lets a stub's NotImplementedError through, and fails on plausible mistakes."""
+
+import numpy as np
+import pytest
+import torch
+
+from detden_lite.checks import detector as checks
+
+
+def sample_latent(mean, log_variance, noise):
+    return mean + (0.5 * log_variance).exp() * noise
+
+
+def kl(mean, log_variance, prior_mean):
+    return 0.5 * (log_variance.exp() + (mean - prior_mean) ** 2 - 1 - log_variance).sum(-1)
+
+
+def calibrate(clean_scores, false_alarm_rate):
+    return np.quantile(clean_scores, 1 - false_alarm_rate)
+
+
+def scores(attacked, alarm):
+    hit, miss, false = (attacked & alarm).sum(), (attacked & ~alarm).sum(), (~attacked & alarm).sum()
+    return (attacked == alarm).mean(), 2 * hit / (2 * hit + miss + false), miss / (hit + miss)
+
+
+def test_the_solutions_pass(capsys):
+    checks.check_sample_latent(sample_latent)
+    checks.check_kl(kl)
+    checks.check_calibrate(calibrate)
+    checks.check_scores(scores)
+    assert capsys.readouterr().out.count("Right") == 4
+
+
+@pytest.mark.parametrize(
+    "check", [checks.check_sample_latent, checks.check_kl, checks.check_calibrate, checks.check_scores]
+)
+def test_a_stub_is_let_through(check):
+    def stub(*arguments):
+        raise NotImplementedError("Exercise 3.1: a title")
+
+    with pytest.raises(NotImplementedError):
+        check(stub)
+
+
+def _with_recall_for_f1(attacked, alarm):
+    accuracy, _, misses = scores(attacked, alarm)
+    return accuracy, 1 - misses, misses
+
+
+def _with_misses_of_all_steps(attacked, alarm):
+    accuracy, f1, _ = scores(attacked, alarm)
+    return accuracy, f1, (attacked & ~alarm).mean()
+
+
+def _with_false_positives(attacked, alarm):
+    accuracy, f1, _ = scores(attacked, alarm)
+    return accuracy, f1, (~attacked & alarm).sum() / (~attacked).sum()
+
+
+def _by_columns(attacked, alarm):
+    hit, miss, false = (attacked & alarm).sum(0), (attacked & ~alarm).sum(0), (~attacked & alarm).sum(0)
+    return (attacked == alarm).mean(), 2 * hit / (2 * hit + miss + false), miss / (hit + miss)
+
+
+@pytest.mark.parametrize(
+    ("check", "mistake", "says"),
+    [
+        (checks.check_sample_latent, lambda m, v, e: m + v.exp() * e, "log_variance is log sigma"),
+        (checks.check_sample_latent, lambda m, v, e: m + v * e, "exponentiate"),
+        (checks.check_sample_latent, lambda m, v, e: m + e, "log_variance is not used"),
+        (checks.check_sample_latent, lambda m, v, e: (0.5 * v).exp() * e, "is the mean"),
+        (checks.check_sample_latent, lambda m, v, e: torch.normal(m, (0.5 * v).exp()), "is the mean"),
+        (checks.check_sample_latent, lambda m, v, e: m.detach() + (0.5 * v).exp() * e, "gradient"),
+        (checks.check_kl, lambda m, v, p: 2 * kl(m, v, p), "is 8"),
+        (checks.check_kl, lambda m, v, p: kl(m, v, torch.zeros_like(p)), "from itself is 0"),
+        (checks.check_kl, lambda m, v, p: kl(m, v, m), "is 8"),
+        (checks.check_kl, lambda m, v, p: kl(m, 2 * v, p), "sigma.2 = 4"),
+        (checks.check_kl, lambda m, v, p: kl(m, v, p).mean(), "5 numbers"),
+        (checks.check_kl, lambda m, v, p: kl(m, v, p) / 4, "is 8"),
+        (checks.check_calibrate, lambda s, r: np.quantile(s, r), "other end"),
+        (checks.check_calibrate, lambda s, r: s.max(), "largest"),
+        (checks.check_calibrate, lambda s, r: s.mean() + 2.33 * s.std(), "without assuming"),
+        (checks.check_calibrate, lambda s, r: np.quantile(s, [1 - r]), "one number"),
+        (checks.check_scores, _with_recall_for_f1, "recall"),
+        (checks.check_scores, _with_misses_of_all_steps, "only the 4 attacked"),
+        (checks.check_scores, _with_false_positives, "POSITIVE"),
+        (checks.check_scores, _by_columns, "all entries"),
+        (checks.check_scores, lambda attacked, alarm: 0.7, "three numbers"),
+    ],
+)
+def test_a_mistake_is_told(check, mistake, says):
+    with pytest.raises(AssertionError, match=says):
+        check(mistake)
