@@ -70,5 +70,5 @@ _build/vendor/widgets/embed.js: .venv/stamp book/tools/widget_player.py
 	$(PY) book/tools/widget_player.py $@
 
 _build/html.stamp: _build/cache.stamp _build/vendor/widgets/embed.js $(BOOK)
-	$(PY) -m jupyter_book build book --path-output . --warningiserror --keep-going --quiet
+	$(BIN)/jupyter-book build book --path-output . --all --warningiserror --keep-going
 	@$(PY) -c "open('$@', 'w')"
