@@ -34,7 +34,7 @@ def get_scale(name: str, task: Task) -> Scale:
     if name == "lite":
         return Scale(
             victim=TD3Recipe(),
-            defense=VAERecipe(**sizes, epochs=50, batch=task.batch),
+            defense=VAERecipe(**sizes, epochs=30, batch=task.batch),
             trajectories=1_000,
             horizon=task.horizon,
             episodes=100,

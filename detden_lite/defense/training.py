@@ -1,6 +1,7 @@
 """Training a GRU-VAE, as detector (input = target) or denoiser (input = attacked, target = true), by its ELBO."""
 
 import json
+import math
 import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -16,7 +17,10 @@ from detden_lite.defense.gruvae import GRUVAE, kl_divergence, reconstruction_los
 
 @dataclass(frozen=True)
 class VAERecipe:
-    """How a GRU-VAE is trained. ``beta`` weighs the KL term: it is the variance of p(o | z, h) in z-scored units."""
+    """How a GRU-VAE is trained. ``beta`` weighs the KL term: it is the variance of p(o | z, h) in z-scored units.
+
+    The learning rate falls along half a cosine to zero at the last epoch; the paper says nothing of a schedule.
+    """
 
     hidden: int = 64
     layers: int = 1
@@ -70,6 +74,7 @@ def train_gruvae(
     with tqdm(range(first, recipe.epochs), initial=first, total=recipe.epochs, desc=label, unit="epoch") as bar:
         for epoch in bar:
             torch.manual_seed(int(np.random.SeedSequence([seed, epoch]).generate_state(1)[0]))
+            optimizer.param_groups[0]["lr"] = recipe.learning_rate * 0.5 * (1 + math.cos(math.pi * epoch / recipe.epochs))
             order = torch.randperm(len(index)).numpy()
             losses = [
                 _train_on(model, optimizer, recipe, pairs, index[order[i : i + recipe.batch]])
