@@ -1,0 +1,115 @@
+"""Checks of the chapter on the MDP and the victim."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from detden_lite.checks.compare import array, compare
+
+
+def check_returns_to_go(returns_to_go: Callable[[np.ndarray, float], np.ndarray]) -> None:
+    """``returns_to_go(reward, gamma)`` is the discounted return from every step on, ``[steps]``."""
+    reward = np.array([1.0, 0.0, 0.0, 2.0])
+    kept = reward.copy()
+    call = "returns_to_go([1, 0, 0, 2], 0.5)"
+    got = returns_to_go(reward, 0.5)
+    if array(call, got).ndim == 0:
+        raise AssertionError(f"{call} gives one number; there is a return from each of the 4 steps on")
+    mistakes = {
+        "Is the reward of the step itself in it?": [0.25, 0.5, 1.0, 0.0],
+        "The discount counts from step t, not from the start of the episode": [1.25, 0.25, 0.25, 0.25],
+        "Where does gamma come in?": [3.0, 2.0, 2.0, 2.0],
+        "This sums what came before the step; a return sums what comes after it": [1.0, 1.0, 1.0, 1.25],
+        "The order is turned round: the first entry belongs to the first step": [2.0, 1.0, 0.5, 1.25],
+    }
+    compare(call, got, [1.25, 0.5, 1.0, 2.0], mistakes)
+    assert np.array_equal(reward, kept), (
+        "returns_to_go changes the rewards that it is given; work on an array of its own"
+    )
+    reward = np.random.default_rng(0).normal(size=40)
+    for gamma in (0.0, 0.9, 1.0):
+        ahead = np.arange(40) - np.arange(40)[:, None]
+        weights = np.where(ahead >= 0, gamma ** np.maximum(ahead, 0.0), 0)
+        compare(f"returns_to_go(reward, {gamma}) of 40 random rewards", returns_to_go(reward, gamma), weights @ reward)
+    print("Right. With gamma = 0 only the next reward counts, with gamma = 1 all that are left.")
+
+
+def check_returns_and_lengths(
+    returns_and_lengths: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
+) -> None:
+    """``returns_and_lengths(reward, terminated)`` of episodes in lockstep, all ``[steps, N]``, gives two ``[N]``."""
+    reward = np.array([[1.0, 10.0, 100.0], [2.0, 20.0, 200.0], [3.0, 30.0, 300.0], [4.0, 40.0, 400.0]])
+    terminated = np.array([[0, 0, 1], [1, 0, 1], [1, 0, 1], [1, 0, 1]], dtype=bool)  # after 2 steps, never, after 1
+    result = returns_and_lengths(reward, terminated)
+    pair = isinstance(result, tuple | list) and len(result) == 2
+    assert pair, "returns_and_lengths should give two arrays: the returns and the lengths"
+    returns_hints = {
+        "The step that ends an episode still earns its reward": [1.0, 100.0, 0.0],
+        "Dead worlds go on earning here; leave out what came after the end": reward.sum(0),
+        "Worlds end one by one: do not stop all of them with the first": [1.0, 10.0, 100.0],
+    }
+    lengths_hints = {
+        "The step that ends an episode is one of its steps": [1, 4, 0],
+        "A world that has ended takes no more steps": [4, 4, 4],
+    }
+    compare("returns", result[0], [3.0, 100.0, 100.0], returns_hints)
+    compare("lengths", result[1], [2, 4, 1], lengths_hints)
+    print("Right. One array operation for all episodes, and no episode knows of another.")
+
+
+def check_choose(
+    choose: Callable[[np.ndarray, np.ndarray, np.ndarray, int], tuple[int, float]],
+) -> None:
+    """``choose(screening, selection, report, keep)`` gives the chosen snapshot's index and the mean to report of it."""
+    screening = np.array([2_000.0, 3_100.0, 1_500.0, 900.0, 3_400.0, 3_300.0])
+    selection = np.array([[3_500, 3_500], [3_200, 3_300], [2_000, 2_200], [900, 800], [3_000, 3_100], [3_100, 3_200]])
+    report = np.array([[3_300, 3_400], [3_170, 3_070], [2_100, 2_000], [900, 900], [3_000, 3_000], [3_500, 3_400]])
+    result = choose(screening, selection, report, 3)
+    assert isinstance(result, tuple | list) and len(result) == 2, "choose should give two things: an index and a mean"
+    index = int(array("the index that choose gives", result[0]))
+    hints = {
+        0: "It was not among the 3 best of the screening, so it never came into the selection",
+        2: "Is that a place in the short list, or the snapshot's own index?",
+        3: "The best has the highest mean, not the lowest",
+        4: "That is the screening's favourite; the selection episodes are there to decide among the 3",
+        5: "That one is best in the report, but whoever looks there to choose has nothing fresh left to report",
+    }
+    assert index == 1, f"choose takes snapshot {index}, and not the right one. {hints.get(index, 'There are only six')}"
+    mistakes = {
+        "That is the score it was chosen by, which flatters the winner; report on episodes it was not chosen by": 3_250,
+        "That is its screening score, of the fewest episodes of all": 3_100,
+    }
+    compare("the mean to report", result[1], 3_120, mistakes)
+    print("Right. What chose the snapshot is not what is said about it.")
+
+
+def check_interval(interval: Callable[[np.ndarray, np.random.Generator, int], tuple[float, float]]) -> None:
+    """``interval(values, rng, resamples)`` is the 95 % percentile bootstrap interval of the mean, low and high."""
+    rng = np.random.default_rng(7)
+    values = rng.normal(3_000, 200, size=100)
+    result = interval(values, np.random.default_rng(0), 2_000)
+    assert isinstance(result, tuple | list | np.ndarray) and len(result) == 2, (
+        "interval should give two numbers: low, high"
+    )
+    low, high = (float(array("interval(values, rng, 2000)", bound)) for bound in result)
+    assert low <= high, f"low is {low:.6g} and high is {high:.6g}: they have changed places"
+    width, right = high - low, 2 * 1.96 * values.std() / np.sqrt(len(values))
+    shown = f"For 100 values with a standard deviation of {values.std():.0f} the interval is {width:.3g} wide"
+    assert width > 0.05 * right, f"{shown}. Are the values drawn with replacement? Without, every mean is the same"
+    assert width < 0.75 * 2 * 1.96 * values.std(), (
+        f"{shown}: as wide as the values themselves spread. Take the quantiles of the resamples' means"
+    )
+    assert 0.85 * right < width < 1.15 * right, (
+        f"{shown}, and about {right:.3g} is expected. Does each resample have as many values as there are, "
+        "and do 2.5 % of the means lie on each side?"
+    )
+    assert abs((low + high) / 2 - values.mean()) < 0.1 * right, (
+        "the middle of the interval is far from the values' mean"
+    )
+    again = interval(values, np.random.default_rng(0), 2_000)
+    assert np.allclose(result, again), "the same rng should give the same interval: take all random numbers from rng"
+    compare("interval of 5 equal values", interval(np.full(5, 3.0), np.random.default_rng(0), 100), [3.0, 3.0])
+    trials = [(rng.exponential(size=40), np.random.default_rng(i)) for i in range(200)]
+    hits = np.mean([low <= 1 <= high for low, high in (interval(values, rng, 400) for values, rng in trials)])
+    assert hits > 0.85, f"of 200 intervals only {hits:.0%} hold the true mean"
+    print(f"Right. Of 200 such intervals, of 40 skewed values each, {hits:.0%} hold the true mean; 95 % is promised.")

@@ -1,0 +1,127 @@
+import pytest
+import torch
+
+from detden_lite.checks import attacks
+
+CHECKS = [attacks.check_project_l2, attacks.check_opposite, attacks.check_fgsm, attacks.check_vulnerable]
+
+
+def stub(*args):
+    raise NotImplementedError("Exercise 2.1: to be done")
+
+
+@pytest.mark.parametrize("check", CHECKS)
+def test_a_stub_says_what_is_to_be_done(check):
+    with pytest.raises(NotImplementedError, match="Exercise 2.1"):
+        check(stub)
+
+
+@pytest.mark.parametrize("check", CHECKS)
+def test_a_function_that_returns_nothing_is_told_so(check):
+    with pytest.raises(AssertionError, match="return"):
+        check(lambda *args: None)
+
+
+def length(delta):
+    return delta.norm(dim=-1, keepdim=True)
+
+
+class TestProject:
+    def test_right(self):
+        def right(obs, perturbed, epsilon):
+            delta = perturbed - obs
+            return obs + delta * (epsilon / length(delta).clamp_min(1e-12)).clamp(max=1)
+
+        attacks.check_project_l2(right)
+
+    @pytest.mark.parametrize(
+        "wrong, hint",
+        [
+            (lambda o, p, e: o + e * (p - o) / length(p - o).clamp_min(1e-9), "inside the ball stays"),
+            (lambda o, p, e: o + (p - o).clamp(-e, e), "l-infinity"),
+            (lambda o, p, e: (p - o) * (e / length(p - o).clamp_min(1e-9)).clamp(max=1), "centre added"),
+            (lambda o, p, e: o + (p - o) * min(e / (p - o).norm(), 1), "length of its own"),
+            (lambda o, p, e: o + (p - o) * (e / length(p - o)), "NaN"),
+            (lambda o, p, e: p, "come to the border"),
+        ],
+        ids=["always to the border", "clipped", "no centre", "one length for all", "0/0", "unchanged"],
+    )
+    def test_wrong(self, wrong, hint):
+        with pytest.raises(AssertionError, match=hint):
+            attacks.check_project_l2(wrong)
+
+
+class TestOpposite:
+    def test_right(self):
+        attacks.check_opposite(lambda mean, seen, std: ((seen - mean) / std).square().sum(-1))
+
+    @pytest.mark.parametrize(
+        "wrong, hint",
+        [
+            (lambda m, s, std: ((s - m) * std).square().sum(-1), "counts less"),
+            (lambda m, s, std: ((s - m).square() / std).sum(-1), "variances"),
+            (lambda m, s, std: (s - m).square().sum(-1), "Where does Sigma"),
+            (lambda m, s, std: ((s - m) / std).norm(dim=-1), "root of it"),
+            (lambda m, s, std: ((s - m) / std).square().mean(-1), "do not average"),
+            (lambda m, s, std: ((s - m) / std).square().sum(), "one number for both"),
+        ],
+        ids=["times Sigma", "std for variance", "no Sigma", "root", "mean", "sum over the batch"],
+    )
+    def test_wrong(self, wrong, hint):
+        with pytest.raises(AssertionError, match=hint):
+            attacks.check_opposite(wrong)
+
+
+class TestFgsm:
+    def test_right(self):
+        def right(gain, obs, start, epsilon):
+            gradient = 2 * start @ gain.T @ gain
+            return obs + (start + epsilon * gradient.sign()).clamp(-epsilon, epsilon)
+
+        attacks.check_fgsm(right)
+
+    def test_right_with_autograd(self):
+        def right(gain, obs, start, epsilon):
+            x = (obs + start).requires_grad_()
+            ((x - obs) @ gain.T).square().sum().backward()
+            return obs + (x.detach() + epsilon * x.grad.sign() - obs).clamp(-epsilon, epsilon)
+
+        attacks.check_fgsm(right)
+
+    @pytest.mark.parametrize(
+        "wrong, hint",
+        [
+            (lambda k, o, d, e: o + d + e * (d @ k.T @ k).sign(), "may leave it"),
+            (lambda k, o, d, e: o + e * ((o - o) @ k.T @ k).sign(), "gradient is zero"),
+            (lambda k, o, d, e: o + (d - e * (d @ k.T @ k).sign()).clamp(-e, e), "downhill"),
+            (lambda k, o, d, e: o + (d + e * 2 * d @ k.T @ k).clamp(-e, e), "sign that counts"),
+            (lambda k, o, d, e: (d + e * (d @ k.T @ k).sign()).clamp(-e, e), "centre of the ball"),
+            (lambda k, o, d, e: o + (d + e * (o @ k.T @ k).sign()).clamp(-e, e), "how far the action moves"),
+            (lambda k, o, d, e: o + d, "without a step"),
+        ],
+        ids=["unprojected", "from the centre", "descent", "no sign", "clipped around 0", "action itself", "start only"],
+    )
+    def test_wrong(self, wrong, hint):
+        with pytest.raises(AssertionError, match=hint):
+            attacks.check_fgsm(wrong)
+
+
+class TestVulnerable:
+    def test_right(self):
+        attacks.check_vulnerable(lambda policy, q, obs, c_vul: q(obs, policy(obs)) < c_vul)
+
+    @pytest.mark.parametrize(
+        "wrong, hint",
+        [
+            (lambda policy, q, o, c: q(o, policy(o)) > c, "not above"),
+            (lambda policy, q, o, c: q(o, policy(o)) <= c, "at the threshold itself"),
+            (lambda policy, q, o, c: q(o, torch.zeros(len(o), 1)) < c, "is the action the policy's"),
+            (lambda policy, q, o, c: q(o, o) < c, "what does the policy do"),
+            (lambda policy, q, o, c: (q(o, policy(o)).mean() < c).expand(len(o)), "do not average"),
+            (lambda policy, q, o, c: (q(o, policy(o)) < c).float(), "True or False"),
+        ],
+        ids=["above", "at the threshold", "no action", "obs for action", "averaged", "numbers"],
+    )
+    def test_wrong(self, wrong, hint):
+        with pytest.raises(AssertionError, match=hint):
+            attacks.check_vulnerable(wrong)

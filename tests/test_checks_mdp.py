@@ -1,0 +1,187 @@
+import numpy as np
+import pytest
+
+from detden_lite.checks import mdp
+
+
+def stub(*args):
+    raise NotImplementedError("Exercise 1.1: to be done")
+
+
+@pytest.mark.parametrize(
+    "check", [mdp.check_returns_to_go, mdp.check_returns_and_lengths, mdp.check_choose, mdp.check_interval]
+)
+def test_a_stub_says_what_is_to_be_done(check):
+    with pytest.raises(NotImplementedError, match="Exercise 1.1"):
+        check(stub)
+
+
+@pytest.mark.parametrize(
+    "check", [mdp.check_returns_to_go, mdp.check_returns_and_lengths, mdp.check_choose, mdp.check_interval]
+)
+def test_a_function_that_returns_nothing_is_told_so(check):
+    with pytest.raises(AssertionError):
+        check(lambda *args: None)
+
+
+class TestReturnsToGo:
+    @staticmethod
+    def right(reward, gamma):
+        out, later = np.zeros(len(reward)), 0.0
+        for t in reversed(range(len(reward))):
+            out[t] = later = reward[t] + gamma * later
+        return out
+
+    def test_right(self):
+        mdp.check_returns_to_go(self.right)
+
+    def test_without_the_step_s_own_reward(self):
+        with pytest.raises(AssertionError, match="reward of the step itself"):
+            mdp.check_returns_to_go(lambda r, gamma: gamma * np.append(self.right(r, gamma)[1:], 0))
+
+    def test_discounted_from_the_start_of_the_episode(self):
+        def wrong(reward, gamma):
+            return np.cumsum((reward * gamma ** np.arange(len(reward)))[::-1])[::-1]
+
+        with pytest.raises(AssertionError, match="counts from step t"):
+            mdp.check_returns_to_go(wrong)
+
+    def test_without_gamma(self):
+        with pytest.raises(AssertionError, match="Where does gamma"):
+            mdp.check_returns_to_go(lambda reward, gamma: np.cumsum(reward[::-1])[::-1])
+
+    def test_only_the_first_return(self):
+        with pytest.raises(AssertionError, match="gives one number"):
+            mdp.check_returns_to_go(lambda r, gamma: self.right(r, gamma)[0])
+
+    def test_summed_over_the_past(self):
+        with pytest.raises(AssertionError, match="what came before"):
+            mdp.check_returns_to_go(lambda r, gamma: np.cumsum(r * gamma ** np.arange(len(r))))
+
+    def test_left_in_reversed_order(self):
+        with pytest.raises(AssertionError, match="turned round"):
+            mdp.check_returns_to_go(lambda r, gamma: self.right(r, gamma)[::-1])
+
+    def test_in_place(self):
+        def wrong(reward, gamma):
+            for t in reversed(range(len(reward) - 1)):
+                reward[t] += gamma * reward[t + 1]
+            return reward
+
+        with pytest.raises(AssertionError, match="changes the rewards"):
+            mdp.check_returns_to_go(wrong)
+
+
+class TestReturnsAndLengths:
+    def test_right(self):
+        def right(reward, terminated):
+            mask = np.ones_like(terminated)
+            mask[1:] = ~terminated[:-1]
+            return (reward * mask).sum(0), mask.sum(0)
+
+        mdp.check_returns_and_lengths(right)
+
+    @pytest.mark.parametrize(
+        "mask, hint",
+        [
+            (lambda terminated: ~terminated, "still earns its reward"),
+            (lambda terminated: np.ones_like(terminated), "Dead worlds"),
+            (
+                lambda terminated: np.vstack([[True] * 3, ~terminated.any(1, keepdims=True)[:-1].repeat(3, 1)]),
+                "end one by one",
+            ),
+        ],
+        ids=["last reward lost", "no mask", "all stop with the first"],
+    )
+    def test_wrong_mask(self, mask, hint):
+        with pytest.raises(AssertionError, match=hint):
+            mdp.check_returns_and_lengths(lambda r, t: ((r * mask(t)).sum(0), mask(t).sum(0)))
+
+    def test_right_returns_with_wrong_lengths(self):
+        def wrong(reward, terminated):
+            mask = np.vstack([[True] * reward.shape[1], ~terminated[:-1]])
+            return (reward * mask).sum(0), (~terminated).sum(0)
+
+        with pytest.raises(AssertionError, match="lengths .*one of its steps"):
+            mdp.check_returns_and_lengths(wrong)
+
+
+class TestChoose:
+    def test_right(self):
+        def right(screening, selection, report, keep):
+            short = np.argsort(-screening)[:keep]
+            best = short[selection[short].mean(1).argmax()]
+            return best, report[best].mean()
+
+        mdp.check_choose(right)
+
+    def test_without_the_short_list(self):
+        def wrong(screening, selection, report, keep):
+            best = selection.mean(1).argmax()
+            return best, report[best].mean()
+
+        with pytest.raises(AssertionError, match="never came into the selection"):
+            mdp.check_choose(wrong)
+
+    def test_chosen_in_the_report(self):
+        def wrong(screening, selection, report, keep):
+            best = report.mean(1).argmax()
+            return best, report[best].mean()
+
+        with pytest.raises(AssertionError, match="nothing fresh left"):
+            mdp.check_choose(wrong)
+
+    def test_place_in_the_short_list_for_index(self):
+        def wrong(screening, selection, report, keep):
+            short = np.argsort(-screening)[:keep]
+            best = selection[short].mean(1).argmax()
+            return best, report[best].mean()
+
+        with pytest.raises(AssertionError, match="short list"):
+            mdp.check_choose(wrong)
+
+    def test_reporting_what_it_was_chosen_by(self):
+        with pytest.raises(AssertionError, match="flatters the winner"):
+            mdp.check_choose(lambda screening, selection, report, keep: (1, selection[1].mean()))
+
+
+class TestInterval:
+    @staticmethod
+    def right(values, rng, resamples):
+        means = values[rng.integers(len(values), size=(resamples, len(values)))].mean(1)
+        return tuple(np.quantile(means, [0.025, 0.975]))
+
+    def test_right(self):
+        mdp.check_interval(self.right)
+
+    def test_quantiles_of_the_values(self):
+        with pytest.raises(AssertionError, match="values themselves spread"):
+            mdp.check_interval(lambda values, rng, n: tuple(np.quantile(values, [0.025, 0.975])))
+
+    def test_drawn_without_replacement(self):
+        def wrong(values, rng, resamples):
+            means = [rng.permutation(values).mean() for _ in range(resamples)]
+            return tuple(np.quantile(means, [0.025, 0.975]))
+
+        with pytest.raises(AssertionError, match="with replacement"):
+            mdp.check_interval(wrong)
+
+    def test_resamples_of_another_size(self):
+        def wrong(values, rng, resamples):
+            means = [rng.choice(values, 20).mean() for _ in range(resamples)]
+            return tuple(np.quantile(means, [0.025, 0.975]))
+
+        with pytest.raises(AssertionError, match="as many values"):
+            mdp.check_interval(wrong)
+
+    def test_a_bound_on_one_side_too_few(self):
+        def wrong(values, rng, resamples):
+            means = [rng.choice(values, len(values)).mean() for _ in range(resamples)]
+            return tuple(np.quantile(means, [0.05, 0.95]))
+
+        with pytest.raises(AssertionError, match="2.5 %"):
+            mdp.check_interval(wrong)
+
+    def test_random_numbers_from_elsewhere(self):
+        with pytest.raises(AssertionError, match="same rng"):
+            mdp.check_interval(lambda values, rng, n: self.right(values, np.random.default_rng(), n))
