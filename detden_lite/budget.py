@@ -20,7 +20,7 @@ class Budget:
             standard deviations (the convention of Zhang et al., 2021).
 
     Raises:
-        ValueError: for a negative or infinite epsilon, another norm, or a scale that is not positive.
+        ValueError: for a negative or infinite epsilon, another norm, or a scale that is not positive and finite.
     """
 
     epsilon: float
@@ -32,8 +32,9 @@ class Budget:
             raise ValueError(f"epsilon must be a finite number of at least 0, not {self.epsilon}")
         if self.norm not in (inf, 2, 1):
             raise ValueError(f"norm must be inf, 2 or 1, not {self.norm}")
-        if not torch.as_tensor(self.scale > 0).all():
-            raise ValueError(f"scale must be positive everywhere, not {self.scale}")
+        scale = torch.as_tensor(self.scale)
+        if not ((scale > 0) & scale.isfinite()).all():
+            raise ValueError(f"scale must be positive and finite everywhere, not {self.scale}")
 
     def size(self, obs: Tensor, perturbed: Tensor) -> Tensor:
         """||(perturbed - obs) / scale||, ``[N]``."""
@@ -45,18 +46,17 @@ class Budget:
 
     def project(self, obs: Tensor, perturbed: Tensor) -> Tensor:
         """The point of B(obs) that is nearest to ``perturbed`` (in l2, after dividing by scale), ``[N, obs_dim]``."""
-        delta = (perturbed - obs) / self.scale
         if self.norm == inf:
-            delta = delta.clamp(-self.epsilon, self.epsilon)
-        elif self.norm == 2:
-            length = torch.linalg.vector_norm(delta, dim=-1, keepdim=True)
-            delta = delta * (self.epsilon / length.clamp_min(torch.finfo(delta.dtype).tiny)).clamp(max=1)
-        else:
-            delta = _project_l1(delta, self.epsilon)
-        return obs + delta * self.scale
+            radius = self.epsilon * self.scale
+            return perturbed.clamp(obs - radius, obs + radius)
+        delta = (perturbed - obs) / self.scale
+        if self.norm == 1:
+            delta = _soft_threshold(delta, self.epsilon)  # exact but for rounding, which the next lines take back
+        size = torch.linalg.vector_norm(delta, ord=self.norm, dim=-1, keepdim=True)
+        return obs + delta * (self.epsilon / size.clamp_min(torch.finfo(delta.dtype).tiny)).clamp(max=1) * self.scale
 
     def steepest(self, gradient: Tensor) -> Tensor:
-        """The step of size 1 in this norm that climbs fastest along ``gradient`` (with respect to o), ``[N, obs_dim]``."""
+        """The step of size 1 in this norm that climbs fastest along ``gradient``, both ``[N, obs_dim]``."""
         g = gradient * self.scale
         if self.norm == inf:
             direction = g.sign()
@@ -84,8 +84,8 @@ class Budget:
         return obs + self.epsilon * delta.to(obs.dtype) * self.scale
 
 
-def _project_l1(delta: Tensor, epsilon: float) -> Tensor:
-    """Euclidean projection on the l1 ball by soft thresholding (Duchi et al., 2008)."""
+def _soft_threshold(delta: Tensor, epsilon: float) -> Tensor:
+    """Euclidean projection on the l1 ball (Duchi et al., 2008)."""
     ordered = delta.abs().sort(dim=-1, descending=True).values
     count = torch.arange(1, delta.shape[-1] + 1, dtype=delta.dtype)
     candidates = (ordered.cumsum(-1) - epsilon) / count
