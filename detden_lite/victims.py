@@ -11,6 +11,8 @@ ACTIVATIONS = {"relu": nn.ReLU, "tanh": nn.Tanh}
 
 def mlp(sizes: list[int], activation: str = "relu", squash: bool = False) -> nn.Sequential:
     """Linear layers of the given sizes with an activation between them, and a final tanh if ``squash``."""
+    if activation not in ACTIVATIONS:
+        raise ValueError(f"activation must be {' or '.join(ACTIVATIONS)}, not {activation!r}")
     layers: list[nn.Module] = []
     for n_in, n_out in zip(sizes[:-1], sizes[1:], strict=True):
         layers += [nn.Linear(n_in, n_out), ACTIVATIONS[activation]()]
@@ -104,6 +106,7 @@ class Victim(nn.Module):
         return victim
 
     @classmethod
+    @torch.no_grad()
     def from_sb3(cls, model, vecnormalize=None) -> "Victim":
         """A frozen copy of a stable-baselines3 TD3 or PPO model, or of an sbx-rl TD3 model.
 
@@ -112,22 +115,30 @@ class Victim(nn.Module):
             vecnormalize: the ``VecNormalize`` it was trained in, if any; it becomes the victim's first layer.
 
         Raises:
-            ValueError: if the model is of another kind, or its network is not a plain MLP.
+            ValueError: if the model is of another kind, its networks are no plain MLPs, or the copy acts differently.
         """
-        if hasattr(model, "policy") and hasattr(model.policy, "actor_state"):
-            victim = _from_sbx_td3(model)
-        elif hasattr(model, "critic") and hasattr(getattr(model, "actor", None), "mu"):
-            victim = _from_sb3_td3(model)
-        elif hasattr(model.policy, "mlp_extractor"):
-            victim = _from_sb3_ppo(model)
-        else:
-            raise ValueError(f"model: {type(model).__name__} is neither a TD3 nor a PPO model with an MLP policy")
-        victim.action_low.copy_(torch.as_tensor(model.action_space.low))
-        victim.action_high.copy_(torch.as_tensor(model.action_space.high))
-        if vecnormalize is not None and vecnormalize.norm_obs:
-            victim.obs_mean.copy_(torch.as_tensor(vecnormalize.obs_rms.mean))
-            victim.obs_std.copy_(torch.as_tensor(np.sqrt(vecnormalize.obs_rms.var + vecnormalize.epsilon)))
-            victim.obs_clip.fill_(vecnormalize.clip_obs)
+        kinds = {kind.__name__ for kind in type(getattr(model, "policy", None)).__mro__}
+        name = type(model).__name__
+        if not kinds & {"TD3Policy", "ActorCriticPolicy"}:
+            raise ValueError(f"model: {name} is neither a TD3 nor a PPO model with an MLP policy")
+        try:
+            if "ActorCriticPolicy" in kinds:
+                victim = _from_sb3_ppo(model)
+            else:
+                victim = _from_sbx_td3(model) if hasattr(model.policy, "actor_state") else _from_sb3_td3(model)
+            victim.action_low.copy_(torch.as_tensor(model.action_space.low))
+            victim.action_high.copy_(torch.as_tensor(model.action_space.high))
+            if vecnormalize is not None and vecnormalize.norm_obs:
+                victim.obs_mean.copy_(torch.as_tensor(vecnormalize.obs_rms.mean))
+                victim.obs_std.copy_(torch.as_tensor(np.sqrt(vecnormalize.obs_rms.var + vecnormalize.epsilon)))
+                victim.obs_clip.fill_(vecnormalize.clip_obs)
+            obs = torch.linspace(-1, 1, 8 * victim.obs_dim).reshape(8, victim.obs_dim)
+            seen = obs.numpy() if vecnormalize is None else vecnormalize.normalize_obs(obs.numpy())
+            difference = np.abs(victim(obs).numpy() - model.predict(seen, deterministic=True)[0]).max()
+        except (KeyError, RuntimeError) as error:
+            raise ValueError(f"model: the networks of this {name} are no plain MLPs ({error})") from error
+        if not difference < 1e-3:
+            raise ValueError(f"model: a copy of this {name} acts differently ({difference:.2g}): it is no plain MLP")
         return victim
 
 
