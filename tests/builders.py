@@ -1,0 +1,43 @@
+"""Small real things to test with: random networks of the right shapes, real environments, nothing trained."""
+
+import torch
+from hypothesis import settings
+from torch import Tensor
+
+from detden_lite.budget import Budget
+from detden_lite.defense import GRUVAE, Denoiser, DetectAndDenoise, Detector
+from detden_lite.tasks import Task, get_task
+from detden_lite.victims import Victim
+
+HOPPER = get_task("hopper")
+BUDGET = Budget(HOPPER.epsilon)
+
+# The same examples at every run, however slow the machine is.
+steady = settings(deadline=None, derandomize=True)
+
+
+def make_victim(task: Task = HOPPER, seed: int = 0, gaussian: bool = False, hidden: int = 16) -> Victim:
+    """An untrained policy with an untrained critic (a value network for a Gaussian one)."""
+    torch.manual_seed(seed)
+    actor = [task.obs_dim, hidden, task.action_dim]
+    if gaussian:
+        return Victim(actor, value=[task.obs_dim, hidden, 1], gaussian=True)
+    return Victim(actor, critic=[task.obs_dim + task.action_dim, hidden, 1])
+
+
+def make_gruvae(obs_dim: int = 11, seed: int = 0, residual: bool = False, layers: int = 1) -> GRUVAE:
+    """An untrained GRU-VAE whose z-scoring is not the identity."""
+    torch.manual_seed(seed)
+    model = GRUVAE(obs_dim, hidden=8, layers=layers, latent=4, residual=residual).requires_grad_(False).eval()
+    model.set_statistics(torch.linspace(-1, 1, obs_dim), torch.linspace(0.5, 2, obs_dim))
+    return model
+
+
+def make_defense(obs_dim: int = 11, threshold: float = 1.5) -> DetectAndDenoise:
+    """An untrained defence, whose alarm goes off now and then."""
+    return DetectAndDenoise(Detector(make_gruvae(obs_dim), threshold), Denoiser(make_gruvae(obs_dim, 1, residual=True)))
+
+
+def normal(*shape: int, seed: int = 0) -> Tensor:
+    """Standard normal numbers."""
+    return torch.randn(shape, generator=torch.Generator().manual_seed(seed))

@@ -1,0 +1,116 @@
+import numpy as np
+import pytest
+import torch
+from builders import BUDGET, make_victim, normal, steady
+from hypothesis import given
+from hypothesis import strategies as st
+from test_budget import NORMS, cases, excess
+
+from detden_lite.attacks import GaussianNoise, OppositeAttack, UniformNoise
+from detden_lite.attacks.opposite import opposite_objective
+from detden_lite.budget import Budget
+from detden_lite.tasks import TASKS
+from detden_lite.victims import Victim
+
+
+def attack_once(attack, obs, episodes=None):
+    attack.reset(range(len(obs)) if episodes is None else episodes)
+    return attack(obs)
+
+
+def opposite(budget, seed=0):
+    return OppositeAttack(make_victim(), budget, steps=3, restarts=2, seed=seed)
+
+
+@steady
+@given(cases(), st.integers(0, 100))
+def test_noise_stays_in_the_ball(case, seed):
+    budget, obs, _ = case
+    for kind in (UniformNoise, GaussianNoise):
+        assert excess(budget, obs, attack_once(kind(budget, seed), obs)) <= 0
+
+
+@steady
+@given(cases(), st.integers(1, 3), st.integers(1, 2), st.booleans())
+def test_the_opposite_attack_stays_in_the_ball(case, steps, restarts, gaussian):
+    budget, obs, _ = case
+    torch.manual_seed(0)
+    victim = Victim([obs.shape[1], 8, 2], gaussian=gaussian)
+    assert excess(budget, obs, attack_once(OppositeAttack(victim, budget, steps, restarts), obs)) <= 0
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_the_opposite_attack_on_every_task(name):
+    task = TASKS[name]
+    victim, obs = make_victim(task), normal(4, task.obs_dim)
+    perturbed = attack_once(OppositeAttack(victim, Budget(task.epsilon), steps=5), obs)
+    assert excess(Budget(task.epsilon), obs, perturbed) <= 0
+    assert (opposite_objective(victim, obs)(perturbed) > 0).all()
+
+
+@pytest.mark.parametrize("kind", [UniformNoise, GaussianNoise, opposite])
+@pytest.mark.parametrize("norm", NORMS)
+def test_epsilon_zero_changes_nothing(kind, norm):
+    obs = normal(4, 11)
+    assert torch.equal(attack_once(kind(Budget(0.0, norm)), obs), obs)
+
+
+@pytest.mark.parametrize("gaussian", [False, True])
+@pytest.mark.parametrize("norm", NORMS)
+def test_on_a_linear_policy_the_known_optimum_is_found(gaussian, norm):
+    """One action w.o + b: the distance is largest, (epsilon * dual norm of w)^2, at one of two opposite corners."""
+    torch.manual_seed(0)
+    victim = Victim([6, 1], gaussian=gaussian)
+    if gaussian:
+        victim.action_std.fill_(0.5)
+    weight, obs = victim.actor[0].weight[0], normal(10, 6)
+    budget = Budget(0.05, norm, torch.linspace(0.5, 2, 6))
+    dual = {float("inf"): 1, 2: 2, 1: float("inf")}[norm]
+    reach = 0.05 * torch.linalg.vector_norm(weight * budget.scale, ord=dual)
+    attack = OppositeAttack(victim, budget, steps=100, restarts=3)
+    perturbed = attack_once(attack, obs)
+    moved = (victim.actor[0](perturbed) - victim.actor[0](obs)).abs().squeeze(-1)
+    # On the l2 sphere steps of 2.5 epsilon in all turn a bad start only so far.
+    assert np.allclose(moved, reach, rtol=2e-2 if norm == 2 else 1e-3)
+    if gaussian:  # the squared Mahalanobis distance of the means
+        assert torch.allclose(opposite_objective(victim, obs)(perturbed), (moved / 0.5).square(), rtol=1e-3)
+
+
+def test_the_objective_weighs_actions_by_the_policys_own_spread():
+    victim, obs = make_victim(gaussian=True), normal(5, 11)
+    victim.action_std.copy_(torch.tensor([0.1, 1.0, 10.0]))
+    perturbed = obs + 0.1
+    moved = victim.mean(perturbed) - victim.mean(obs)
+    expected = torch.stack([m @ torch.diag(victim.action_std**-2) @ m for m in moved])
+    assert torch.allclose(opposite_objective(victim, obs)(perturbed), expected, rtol=1e-4)
+
+
+def test_the_gradient_attack_is_stronger_than_noise():
+    victim, obs = make_victim(hidden=64), normal(100, 11)
+    objective = opposite_objective(victim, obs)
+    noise = [UniformNoise(BUDGET), GaussianNoise(BUDGET)]
+    gradient = [OppositeAttack(victim, BUDGET, steps) for steps in (1, 20)]
+    uniform, gaussian, fgsm, pgd = [objective(attack_once(attack, obs)).mean() for attack in noise + gradient]
+    assert max(uniform, gaussian) < fgsm < pgd
+
+
+def test_gaussian_noise_is_as_wide_as_the_ball():
+    perturbed = attack_once(GaussianNoise(Budget(1.0)), torch.zeros(20_000, 1), [0])
+    inside = perturbed[perturbed.abs() < 1]
+    assert abs(len(inside) / len(perturbed) - 0.683) < 0.02  # the rest was projected on the border
+    assert abs(float((inside.abs() < 0.5).double().mean()) - 0.561) < 0.02
+
+
+@pytest.mark.parametrize("kind", [UniformNoise, GaussianNoise, opposite])
+def test_an_episodes_attack_depends_on_its_own_seed_alone(kind):
+    obs = normal(3, 11)
+    together = attack_once(kind(BUDGET), obs, [4, 5, 6])
+    assert torch.allclose(attack_once(kind(BUDGET), obs[1:2], [5])[0], together[1], atol=1e-6)
+    assert torch.equal(attack_once(kind(BUDGET), obs, [4, 5, 6]), together)
+    assert not torch.equal(attack_once(kind(BUDGET), obs, [7, 8, 9]), together)
+    assert not torch.equal(attack_once(kind(BUDGET, seed=1), obs, [4, 5, 6]), together)
+
+
+def test_attacks_declare_what_they_know():
+    assert UniformNoise(BUDGET).needs == GaussianNoise(BUDGET).needs == frozenset()
+    assert OppositeAttack(make_victim(), BUDGET).needs == {"policy"}

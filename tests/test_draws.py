@@ -1,0 +1,44 @@
+import pytest
+import torch
+
+from detden_lite.draws import Draws
+
+
+@pytest.mark.parametrize("kind", ["normal", "uniform"])
+def test_an_episode_draws_the_same_whoever_runs_beside_it(kind):
+    alone, beside = Draws(3, [7]), Draws(3, [5, 7, 9])
+    for _ in range(3):
+        assert torch.equal(getattr(alone, kind)(1, 4)[0], getattr(beside, kind)(3, 4)[1])
+
+
+def test_episodes_and_drawers_draw_independently():
+    first = Draws(0, [1, 2]).normal(2, 8)
+    assert not torch.equal(first[0], first[1])
+    assert not torch.equal(first, Draws(1, [1, 2]).normal(2, 8))
+    # Neither the sum nor the order of (seed, episode) decides.
+    assert not torch.equal(Draws(1, [2]).normal(1, 8), Draws(2, [1]).normal(1, 8))
+
+
+def test_every_draw_is_new_and_the_same_seed_repeats_it():
+    draws, again = Draws(0, [1]), Draws(0, [1])
+    first, second = draws.normal(1, 8), draws.normal(1, 8)
+    assert not torch.equal(first, second)
+    assert torch.equal(first, again.normal(1, 8)) and torch.equal(second, again.normal(1, 8))
+
+
+def test_without_episodes_one_stream_serves_any_number_of_rows():
+    whole = Draws(4).uniform(10, 3)
+    draws = Draws(4)
+    assert torch.equal(whole, torch.cat([draws.uniform(4, 3), draws.uniform(6, 3)]))
+
+
+def test_moments():
+    normal, uniform = Draws(0).normal(50_000, 2), Draws(0).uniform(50_000, 2)
+    assert normal.mean().abs() < 0.02 and (normal.std() - 1).abs() < 0.02
+    assert 0 <= uniform.min() and uniform.max() < 1
+    assert (uniform.mean() - 0.5).abs() < 0.01 and (uniform.var() - 1 / 12).abs() < 0.005
+
+
+def test_rows_that_do_not_fit_the_episodes_are_refused():
+    with pytest.raises(ValueError, match="3 rows for 2 episodes"):
+        Draws(0, [1, 2]).normal(3, 4)
