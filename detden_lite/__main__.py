@@ -43,6 +43,9 @@ def parser() -> argparse.ArgumentParser:
     add("evaluate", "run every cell of the table").add_argument(
         "--variants", nargs="+", choices=stages.VARIANTS, default=["residual"], help="default: %(default)s"
     )
+    add("look", "record and film one episode clean, attacked and defended (needs a GL driver)").add_argument(
+        "--variant", choices=stages.VARIANTS, default="residual", help="default: %(default)s"
+    )
     add("publish", "copy what is shipped into data/")
     return top
 
@@ -66,6 +69,8 @@ def main(argv: list[str] | None = None) -> None:
             stages.train_denoiser(run, args.variant)
         case "evaluate":
             stages.evaluate(run, args.variants)
+        case "look":
+            stages.look(run, args.variant)
         case "publish":
             stages.publish(run)
 

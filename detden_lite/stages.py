@@ -215,10 +215,34 @@ def evaluate(run: Run, variants=tuple(VARIANTS)) -> None:
             print(f"{name}: {metrics.Estimate(**record['estimate'])}")
 
 
+def look(run: Run, variant: str = "residual") -> None:
+    """A recording, a film and stills of one report episode clean, attacked and defended; needs a GL driver."""
+    from detden_lite import films, recordings  # the one stage that needs rerun and ffmpeg
+
+    victim, attack, defense = run.victim(), run.opposite(run.victim()), run.defense(variant)
+    takes = {
+        name: rollout(victim, run.task, study.seeds("report", 1), steps=run.scale.horizon, **parts)
+        for name, parts in dict(
+            clean={}, attacked=dict(attack=attack), defended=dict(attack=attack, defense=defense)
+        ).items()
+    }
+    name = f"{run.folder.name}-opposite"
+    looks = run.root / "films"
+    recordings.record(
+        run.root / "recordings" / f"{name}.rrd", run.task, *takes.values(), threshold=defense.detector.threshold
+    )
+    films.film(looks / f"{name}.mp4", run.task, takes)
+    films.still(looks / f"{name}.png", run.task, takes, seconds=2.0)
+    films.filmstrip(looks / f"{name}-strip.png", run.task, takes, seconds=(0.5, 1.0, 1.5, 2.0, 3.0, 4.0))
+
+
 def publish(run: Run, data: Path = artifacts.DATA) -> None:
     """Copy what is shipped (models, sidecars, records; no trajectories, no checkpoints) from the run to data/."""
     for path in sorted([*run.folder.glob("*.*"), *(run.root / "results").glob(f"{run.folder.name}.*.json")]):
         artifacts.write_bytes(data / path.relative_to(run.root), artifacts.read_bytes(path, run.root), data)
+    for folder in ("recordings", "films"):
+        for path in sorted((run.root / folder).glob(f"{run.folder.name}-*")):
+            artifacts.write_bytes(data / folder / path.name, path.read_bytes(), data)
 
 
 def load_trajectories(run: Run, kind: str, data: str) -> Trajectories:
