@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 from tqdm import tqdm
 
 from detden_lite.attacks.timing import Always
@@ -86,7 +85,7 @@ def rollout(
         progress: text of a progress bar, None for no bar.
 
     Raises:
-        ValueError: if the victim is of another task, or an observation is not finite.
+        ValueError: if the victim is of another task, or an action is not finite.
     """
     if (victim.obs_dim, victim.action_dim) != (task.obs_dim, task.action_dim):
         raise ValueError(
@@ -110,8 +109,6 @@ def rollout(
     obs = simulator.reset()
     for _ in tqdm(range(steps or task.horizon), desc=progress, disable=progress is None, unit="step", leave=False):
         true = torch.from_numpy(obs)
-        if not torch.isfinite(true).all():
-            raise ValueError(f"an observation of {task.env_id} is not finite; the simulation has diverged")
         row = dict(mask=simulator.alive.copy(), state=simulator.state().astype(np.float32), obs=obs)
         attacked, perturbed = nothing, true
         if attack is not None:
@@ -129,6 +126,8 @@ def rollout(
         if noise_size.any():
             noisy = action + noise_size * half_range * exploration.normal(*action.shape)
             action = noisy.clamp(victim.action_low, victim.action_high)
+        if not torch.isfinite(action).all():  # MuJoCo itself would only write a warning and go on
+            raise ValueError("an action is NaN or infinite: look for the first such number in what the policy saw")
         obs, reward, _ = simulator.step(action.numpy())
         tensors = dict(
             perturbed=perturbed, denoised=denoised, shown=shown, action=action,
