@@ -29,7 +29,7 @@ def make_gruvae(obs_dim: int = 11, seed: int = 0, residual: bool = False, layers
     """An untrained GRU-VAE whose z-scoring is not the identity."""
     torch.manual_seed(seed)
     model = GRUVAE(obs_dim, hidden=8, layers=layers, latent=4, residual=residual).requires_grad_(False).eval()
-    model.set_statistics(torch.linspace(-1, 1, obs_dim), torch.linspace(0.5, 2, obs_dim))
+    model.set_statistics(torch.linspace(1, -1, obs_dim), torch.linspace(0.5, 2, obs_dim))
     return model
 
 

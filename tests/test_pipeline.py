@@ -1,0 +1,60 @@
+import pytest
+import torch
+from builders import make_defense, make_gruvae, normal
+
+from detden_lite.defense import Denoiser, DetectAndDenoise, Detector
+
+
+def run(defense, obs):
+    """The verdicts on sequences ``[N, steps, obs_dim]``."""
+    defense.reset(range(len(obs)))
+    return [defense(o) for o in obs.unbind(1)]
+
+
+def test_the_policy_sees_the_denoised_observation_where_there_is_an_alarm():
+    obs = normal(6, 20, 11)
+    verdicts = run(make_defense(threshold=2.0), obs)
+    alarms = torch.stack([v.alarm for v in verdicts])
+    assert alarms.any() and not alarms.all()
+    for o, v in zip(obs.unbind(1), verdicts, strict=True):
+        assert torch.equal(v.obs[v.alarm], v.denoised[v.alarm]) and torch.equal(v.obs[~v.alarm], o[~v.alarm])
+        assert (v.denoised != o).any(-1).all()
+
+
+def test_both_networks_see_every_observation():
+    """The alarms of one do not disturb the memory of the other."""
+    obs = normal(6, 20, 11)
+    detector, denoiser = make_defense(threshold=2.0).detector, make_defense().denoiser
+    detector.reset(range(6))
+    denoiser.reset(range(6))
+    for o, v in zip(obs.unbind(1), run(make_defense(threshold=2.0), obs), strict=True):
+        score, alarm, _ = detector.step(o)
+        assert torch.allclose(v.score, score, atol=1e-6) and torch.equal(v.alarm, alarm)
+        assert torch.allclose(v.denoised, denoiser.step(o), atol=1e-6)
+
+
+def test_always_is_deaf_to_the_detector():
+    defense = make_defense(threshold=float("inf"))
+    for verdict in run(DetectAndDenoise(defense.detector, defense.denoiser, always=True), normal(3, 4, 11)):
+        assert torch.equal(verdict.obs, verdict.denoised) and not verdict.alarm.any()
+
+
+def test_detector_and_denoiser_draw_independently():
+    """Even where they are the same network."""
+    model, obs = make_gruvae(), normal(2, 5, 11)
+    detector, denoiser = Detector(model, 1.0), Denoiser(model)
+    detector.reset(range(2))
+    denoiser.reset(range(2))
+    assert not torch.allclose(detector.step(obs[:, 0])[2], denoiser.step(obs[:, 0]))
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_an_observation_that_is_not_finite_is_refused_and_forgotten(value):
+    defense, obs = make_defense(), normal(2, 3, 11)
+    expected = run(defense, obs)
+    defense.reset(range(2))
+    broken = obs[:, 0].clone()
+    broken[1, 4] = value
+    with pytest.raises(ValueError, match="obs"):
+        defense(broken)
+    assert all(torch.equal(defense(o).obs, v.obs) for o, v in zip(obs.unbind(1), expected, strict=True))
