@@ -133,13 +133,15 @@ def _returns(run: Run, config: dict, snapshot: Path, episode_seeds) -> np.ndarra
 
 
 def collect(run: Run, data: str) -> None:
-    """D_normal: clean episodes of the victim, and as many held-out ones, 1 for 8, for calibration."""
+    """D_normal, and held-out episodes, 1 for 8, for calibration: these as the defence will meet them, unexplored."""
     victim = run.victim()
-    for purpose, n in (("normal", run.scale.trajectories), ("calibration", max(4, run.scale.trajectories // 8))):
-        for path, part in _shards(run, purpose, data, n):
+    held_out = max(4, run.scale.trajectories // 8)
+    wanted = [(f"normal-{data}", "normal", run.scale.trajectories, DATASETS[data]), ("calibration", "calibration", held_out, (0.0,))]
+    for folder, purpose, n, noise in wanted:
+        for path, part in _shards(run, folder, n):
             if not path.exists():
                 shard = augmentation.collect_normal(
-                    victim, run.task, study.seeds(purpose, n)[part], DATASETS[data], steps=run.scale.horizon
+                    victim, run.task, study.seeds(purpose, n)[part], noise, steps=run.scale.horizon
                 )
                 _save_shard(run, path, shard)
 
@@ -147,7 +149,7 @@ def collect(run: Run, data: str) -> None:
 def augment(run: Run, data: str) -> None:
     """D_adv: the opposite attack on every observation of D_normal."""
     victim = run.victim()
-    for index, (path, _) in enumerate(_shards(run, "normal", data, run.scale.trajectories)):
+    for index, (path, _) in enumerate(_shards(run, f"normal-{data}", run.scale.trajectories)):
         target = path.parent.with_name(f"adversarial-{data}") / path.name
         if not target.exists():
             attacked = augmentation.augment(_load_shard(run, path), run.opposite(victim), seed=index)
@@ -156,12 +158,12 @@ def augment(run: Run, data: str) -> None:
 
 def train_detector(run: Run, data: str, seed: int = 0) -> None:
     """Train on D_normal, and calibrate the threshold on held-out clean episodes."""
-    normal = load_trajectories(run, "normal", data)
+    normal = load_trajectories(run, f"normal-{data}")
     model = train_gruvae(
         run.scale.defense, [(normal, normal)], seed, run.folder / "checkpoints" / f"detector-{data}.ckpt",
         label=f"detector on {data} data",
     )  # fmt: skip
-    scores = clean_scores(Detector(model, np.inf), load_trajectories(run, "calibration", data))
+    scores = clean_scores(Detector(model, np.inf), load_trajectories(run, "calibration"))
     sidecar = dict(
         data=data, recipe=asdict(run.scale.defense), seed=seed, trajectories=len(normal),
         threshold=calibrate(scores), calibration_quantiles=_quantiles(scores),
@@ -172,8 +174,8 @@ def train_detector(run: Run, data: str, seed: int = 0) -> None:
 def train_denoiser(run: Run, name: str, seed: int = 0) -> None:
     """Train a variant's denoiser on D_normal and D_adv."""
     variant = VARIANTS[name]
-    normal = load_trajectories(run, "normal", variant.data)
-    adversarial = load_trajectories(run, "adversarial", variant.data)
+    normal = load_trajectories(run, f"normal-{variant.data}")
+    adversarial = load_trajectories(run, f"adversarial-{variant.data}")
     recipe = replace(run.scale.defense, residual=variant.residual)
     model = train_gruvae(
         recipe, [(normal, normal), (adversarial, normal)], seed, run.folder / "checkpoints" / f"denoiser-{name}.ckpt",
@@ -245,18 +247,18 @@ def publish(run: Run, data: Path = artifacts.DATA) -> None:
             artifacts.write_bytes(data / folder / path.name, path.read_bytes(), data)
 
 
-def load_trajectories(run: Run, kind: str, data: str) -> Trajectories:
-    """All shards of "normal", "adversarial" or "calibration" trajectories of a dataset."""
-    paths = sorted((run.folder / f"{kind}-{data}").glob("*.safetensors"))
+def load_trajectories(run: Run, folder: str) -> Trajectories:
+    """All shards of a folder of trajectories: "normal-DATA", "adversarial-DATA" or "calibration"."""
+    paths = sorted((run.folder / folder).glob("*.safetensors"))
     if not paths:
-        raise ValueError(f"{run.folder / f'{kind}-{data}'} is empty; run the {'augment' if kind == 'adversarial' else 'collect'} stage first")
+        stage = "augment" if folder.startswith("adversarial") else "collect"
+        raise ValueError(f"{run.folder / folder} is empty; run the {stage} stage first")
     shards = [_load_shard(run, path) for path in paths]
     return Trajectories(np.concatenate([s.obs for s in shards]), np.concatenate([s.lengths for s in shards]))
 
 
-def _shards(run: Run, purpose: str, data: str, n: int) -> list[tuple[Path, slice]]:
-    folder = run.folder / f"{purpose}-{data}"
-    return [(folder / f"{i:05d}.safetensors", slice(i, min(i + SHARD, n))) for i in range(0, n, SHARD)]
+def _shards(run: Run, folder: str, n: int) -> list[tuple[Path, slice]]:
+    return [(run.folder / folder / f"{i:05d}.safetensors", slice(i, min(i + SHARD, n))) for i in range(0, n, SHARD)]
 
 
 def _save_shard(run: Run, path: Path, shard: Trajectories) -> None:
