@@ -76,7 +76,7 @@ class Robot:
         return (centres + reach).max(0) - (centres - reach).min(0)
 
     def imagined(self, positions: np.ndarray, obs: np.ndarray) -> np.ndarray:
-        """Positions ``[T, nq]`` of the robot that an observation ``[T, obs_dim]`` describes, put where the true one is."""
+        """Positions ``[T, nq]`` of the robot that observations ``[T, obs_dim]`` describe, put where the true one is."""
         described = self.model.nq - self.hidden
         return np.concatenate([positions[:, : self.hidden], obs[:, :described]], axis=1)
 
@@ -110,7 +110,7 @@ def takes(robot: Robot, episodes: Mapping[str, Episodes], index: int) -> list[Ta
     if not 0 < len(episodes) <= len(COLOURS):
         raise ValueError(f"episodes: give 1 to {len(COLOURS)} kinds of episodes, by name, not {len(episodes)}")
     horizon = max(len(kind.mask) for kind in episodes.values())
-    return [_take(robot, *item, index, colour, horizon) for item, colour in zip(episodes.items(), COLOURS)]
+    return [_take(robot, *item, index, colour, horizon) for item, colour in zip(episodes.items(), COLOURS, strict=False)]
 
 
 def _take(robot: Robot, name: str, kind: Episodes, index: int, colour: tuple[int, int, int], horizon: int) -> Take:

@@ -101,6 +101,12 @@ def _times(steps: np.ndarray, dt: float) -> list[rr.TimeColumn]:
     return [rr.TimeColumn("step", sequence=steps), rr.TimeColumn("time", duration=steps * dt)]
 
 
+def _log_static(stream: rr.RecordingStream, name: str, what: rr.AsComponents) -> None:
+    """What does not change. It is flushed, so that in the file it stands before what does: a viewer reads in order."""
+    stream.log(name, what, static=True)
+    stream.flush()
+
+
 def _changes(flags: np.ndarray) -> np.ndarray:
     """The steps at which flags ``[T]`` begin to be on or off."""
     return np.flatnonzero(np.diff(flags, prepend=~flags[:1]))
@@ -122,7 +128,7 @@ def _log_signals(stream: rr.RecordingStream, robot: Robot, shot: Take, dims: Seq
     def plot(name: str, series: dict[str, np.ndarray], colours: Sequence[tuple], hidden: Sequence[str] = ()) -> None:
         shown = [title not in hidden for title in series]
         look = rr.SeriesLines(names=list(series), colors=colours, widths=[1.5] * len(series), visible_series=shown)
-        stream.log(f"{shot.name}/{name}", look, static=True)
+        _log_static(stream, f"{shot.name}/{name}", look)
         scalars = rr.Scalars.columns(scalars=np.stack(list(series.values()), axis=1).ravel())
         stream.send_columns(f"{shot.name}/{name}", times, scalars.partition([len(series)] * len(shot)))
 
@@ -136,7 +142,7 @@ def _log_signals(stream: rr.RecordingStream, robot: Robot, shot: Take, dims: Seq
         plot("score", {"score": shot.score, "threshold": level}, [shot.colour, WHITE])
     for name, flags, colour in (("attacked", shot.attacked, PINK), ("alarm", shot.alarm, GREEN)):
         look = rr.StateConfiguration(values=["on", "off"], labels=[name, " "], colors=[colour, (52, 54, 58)])
-        stream.log(f"{shot.name}/{name}", look, static=True)
+        _log_static(stream, f"{shot.name}/{name}", look)
         changes = _changes(flags)
         states = rr.StateChange.columns(state=np.where(flags[changes], "on", "off"))
         stream.send_columns(f"{shot.name}/{name}", _times(changes, robot.dt), states)
@@ -149,7 +155,7 @@ def _log_scene(stream: rr.RecordingStream, robot: Robot, shot: Take, frame_rate:
     where = np.zeros((len(steps), 3))
     where[:, : robot.hidden] = shot.positions[steps, : robot.hidden]
     stream.send_columns(f"{shot.name}/camera", _times(steps, robot.dt), rr.Transform3D.columns(translation=where))
-    stream.log(f"{shot.name}/floor", _floor(where, robot.hidden), static=True)
+    _log_static(stream, f"{shot.name}/floor", _floor(where, robot.hidden))
     colours = {0: shot.colour} | ({last: GREY} if shot.fell else {})
     _log_body(stream, robot, f"{shot.name}/robot", steps, shot.positions[steps], colours)
     if shot.fell:
@@ -177,7 +183,7 @@ def _log_body(
 ) -> None:
     n = len(robot.geoms)
     ends, turns = robot.poses(positions)
-    stream.log(name, rr.Capsules3D(lengths=robot.lengths, radii=robot.radii, fill_mode="solid"), static=True)
+    _log_static(stream, name, rr.Capsules3D(lengths=robot.lengths, radii=robot.radii, fill_mode="solid"))
     columns = rr.Capsules3D.columns(translations=ends.reshape(-1, 3), quaternions=turns.reshape(-1, 4))
     stream.send_columns(name, _times(steps, robot.dt), columns.partition([n] * len(steps)))
     paint = rr.Capsules3D.columns(colors=[colour for colour in colours.values() for _ in range(n)])
