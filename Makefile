@@ -70,5 +70,6 @@ _build/vendor/widgets/embed.js: .venv/stamp book/tools/widget_player.py
 	$(PY) book/tools/widget_player.py $@
 
 _build/html.stamp: _build/cache.stamp _build/vendor/widgets/embed.js $(BOOK)
+	$(PY) -c "import shutil; shutil.rmtree('_build/html', ignore_errors=True)"
 	$(BIN)/jupyter-book build book --path-output . --all --warningiserror --keep-going
 	@$(PY) -c "open('$@', 'w')"

@@ -4,6 +4,8 @@ import os
 import shutil
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,6 +17,7 @@ sys.path.insert(0, str(ROOT / "book" / "tools"))
 HTML = ROOT / "_build" / "html"
 SCREENSHOTS = ROOT / "_build" / "screenshots"
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
+WIDGET_VIEW = "script[type='application/vnd.jupyter.widget-view+json']"
 FLAGS = [
     *("--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update"),
     *("--disable-sync", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
@@ -60,35 +63,35 @@ def browser():
         chromium.close()
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def visit(site, browser):
-    """``visit("chapters/01-x.html", width=390, dark=True)`` opens a page and waits until it is at rest."""
-    contexts = []
+    """``with visit("chapters/01-x.html") as visited:`` opens a page and waits until it is at rest."""
 
-    def open_page(path: str, width: int = 1280, dark: bool = False) -> Visit:
-        context = browser.new_context(viewport={"width": width, "height": 844})
-        contexts.append(context)
-        mode = "dark" if dark else "light"
-        context.add_init_script(f"localStorage.setItem('mode', '{mode}'); localStorage.setItem('theme', '{mode}')")
+    @contextmanager
+    def open_page(path: str) -> Iterator[Visit]:
+        context = browser.new_context(viewport={"width": 1280, "height": 844})
+        context.set_default_timeout(60_000)
         visited = Visit(context.new_page())
+        page, problems = visited.page, visited.problems
 
         def guard(route):
             if route.request.url.startswith((site, "data:", "blob:")):
                 route.continue_()
             else:
-                visited.problems.append(f"asked another host: {route.request.url}")
+                problems.append(f"asked another host: {route.request.url}")
                 route.abort()
 
         context.route("**/*", guard)
-        page, problems = visited.page, visited.problems
-        page.on("console", lambda message: message.type in ("error", "warning") and problems.append(message.text))
+        page.on("console", lambda message: message.type == "error" and problems.append(message.text))
         page.on("pageerror", lambda error: problems.append(f"uncaught: {error}"))
         page.on("requestfailed", lambda request: problems.append(f"failed: {request.url}"))
         page.on("response", lambda answer: answer.status >= 400 and problems.append(f"{answer.status}: {answer.url}"))
-        page.goto(f"{site}/{path}", wait_until="networkidle")
+        page.goto(f"{site}/{path}")
         page.evaluate("window.MathJax?.startup?.promise")
-        return visited
-
-    yield open_page
-    for context in contexts:
+        for view in page.locator(WIDGET_VIEW).all():
+            view.locator("xpath=preceding-sibling::*[contains(@class, 'widget-subarea')]/*").wait_for()
+        page.wait_for_load_state("networkidle")
+        yield visited
         context.close()
+
+    return open_page

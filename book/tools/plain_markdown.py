@@ -6,7 +6,9 @@ Figures and labelled equations get the numbers that the built book gives them: c
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
+from posixpath import normpath
 
 from pybtex.database import parse_file
 
@@ -14,7 +16,7 @@ _FENCE = re.compile(r"(?P<fence>`{3,}|:{3,})(?:\{(?P<name>[\w-]+)\})?[ \t]*(?P<a
 _OPTION = re.compile(r":([\w-]+):[ \t]*(.*)")
 _ROLE = re.compile(r"(?<!`)\{([\w:]+)\}`([^`]+)`")
 _TARGET = re.compile(r"\(([\w:-]+)\)=")
-_EQUATION = re.compile(r"\$\$[ \t]*\(([\w:-]+)\)[ \t]*$")
+_EQUATION = re.compile(r"\$\$[ \t]*\(([\w:-]+)\)[ \t]*$", re.M)
 _LINK = re.compile(r"(?<!!)\[([^\]]+)\]\(([^)\s]+)\)")
 _ADMONITIONS = {"note", "tip", "hint", "warning", "important", "seealso", "admonition"}
 
@@ -115,18 +117,18 @@ def plain(lines: list[str], labels: Labels) -> list[str]:
         ValueError: at a directive, role or reference that has no plain form; it names it and says what there is.
     """
     out: list[str] = []
-    for block in blocks(lines):
-        if isinstance(block, list):
-            out += block
-        elif isinstance(block, Directive):
-            out += _directive(block, labels)
-        elif not _TARGET.fullmatch(block.strip()):
-            out.append(inline(block, labels))
+    for is_text, run in groupby(blocks(lines), key=lambda block: isinstance(block, str)):
+        if is_text:  # together, because a role may go on in the next line
+            kept = [line for line in run if not _TARGET.fullmatch(line.strip())]
+            out += inline("\n".join(kept), labels).split("\n") if kept else []
+            continue
+        for block in run:
+            out += _directive(block, labels) if isinstance(block, Directive) else block
     return out
 
 
 def inline(text: str, labels: Labels) -> str:
-    """One line of text without roles and labels."""
+    """Text without roles and labels."""
     text = _EQUATION.sub(lambda match: rf"\tag{{{_find(labels.equations, match[1], 'equation')}}} $$", text)
     text = _ROLE.sub(lambda match: _role(match[1], match[2], labels), text)
     return _LINK.sub(lambda match: f"[{match[1]}]({_notebook(match[2])})" if _is_local(match[2]) else match[0], text)
@@ -149,6 +151,8 @@ def _directive(block: Directive, labels: Labels) -> list[str]:
     if name == "figure":
         image = f"![{block.options.get('alt', '')}]({_image(block.argument)})"
         return [image, "", caption(block.options["name"], " ".join(body), labels), ""]
+    if name in ("film", "recording"):
+        return [f"![{block.options['alt']}]({_image(block.options['still'])})", "", *plain(body, labels), ""]
     if name == "image":
         return [f"![{block.options.get('alt', '')}]({_image(block.argument)})", ""]
     if name == "math":
@@ -159,11 +163,11 @@ def _directive(block: Directive, labels: Labels) -> list[str]:
         return [f"```{block.argument}", *body, "```"]
     if name == "raw":
         return []
-    known = ", ".join(sorted(_ADMONITIONS | {"dropdown", "figure", "image", "math", "code-block", "raw"}))
-    raise ValueError(f"the directive {{{name}}} has no plain form for the notebooks; use one of: {known}")
+    raise ValueError(f"the directive {{{name}}} has no plain form for the notebooks: see AUTHORING.md for those that have")
 
 
 def _role(name: str, argument: str, labels: Labels) -> str:
+    argument = " ".join(argument.split())
     shown, target = re.fullmatch(r"(?:(.*?)\s*<)?([^<>]+)>?", argument).groups()
     if name == "numref":
         return shown or f"Figure {_find(labels.figures, target, 'figure')}"
@@ -178,7 +182,7 @@ def _role(name: str, argument: str, labels: Labels) -> str:
         return "(" + "; ".join(f"{authors}, {year}" for authors, year in found) + ")"
     if name == "cite:t":
         return "{} ({})".format(*_find(labels.citations, target, "citation"))
-    raise ValueError(f"the role {{{name}}} has no plain form for the notebooks; use numref, eq, ref, doc or cite")
+    raise ValueError(f"the role {{{name}}} has no plain form for the notebooks: see AUTHORING.md for those that have")
 
 
 def _find(labels: dict, name: str, kind: str):
@@ -199,4 +203,4 @@ def _notebook(target: str) -> str:
 
 def _image(path: str) -> str:
     """Where an image of a chapter is, seen from the folder of notebooks."""
-    return "../book/chapters/" + path if not path.startswith("../") else "../book/" + path.removeprefix("../")
+    return normpath(f"../book/chapters/{path}")

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import jupytext
 import nbformat
+import yaml
 from exercises import stub
 from nbformat.v4 import new_markdown_cell
 from plain_markdown import Labels, caption, collect, plain, read_citations
@@ -26,6 +27,13 @@ _METADATA = {
 }
 
 
+def find_chapters(book: Path = BOOK) -> list[Path]:
+    """The sources of the chapters, in the order of the table of contents."""
+    contents = yaml.safe_load((book / "_toc.yml").read_text(encoding="utf-8"))
+    files = [entry["file"] for part in contents["parts"] for entry in part["chapters"]]
+    return [book / f"{file}.md" for file in files if file.startswith("chapters/")]
+
+
 def make_notebooks(book: Path = BOOK, solved: bool = False) -> dict[str, str]:
     """The notebooks of all chapters, as text: ``{"01-the-ball.ipynb": "{...}"}``.
 
@@ -36,7 +44,7 @@ def make_notebooks(book: Path = BOOK, solved: bool = False) -> dict[str, str]:
     Raises:
         ValueError: if a chapter breaks a rule of AUTHORING.md; it names the chapter.
     """
-    chapters = {path.stem: jupytext.read(path, fmt="md:myst") for path in sorted(book.glob("chapters/*.md"))}
+    chapters = {path.stem: jupytext.read(path, fmt="md:myst") for path in find_chapters(book)}
     labels = Labels(citations=read_citations(book / "references.bib"))
     for step in (_collect_labels, partial(_convert, solved=solved)):
         for name, notebook in chapters.items():
