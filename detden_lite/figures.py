@@ -172,7 +172,7 @@ def returns(axes: Axes, records: Mapping[str, Mapping], paper: Mapping[str, floa
     for row, (name, record) in enumerate(records.items()):
         colour, estimate = cell_colour(record["cell"]), Estimate(**record["estimate"])
         height = row + scatter.uniform(-0.18, 0.18, len(record["returns"]))
-        axes.plot(record["returns"], height, ".", color=colour, alpha=0.3, markersize=5, markeredgewidth=0)
+        axes.plot(record["returns"], height, ".", color=colour, alpha=0.45, markersize=6, markeredgewidth=0)
         axes.plot([estimate.low, estimate.high], [row, row], color=BLACK, linewidth=5, solid_capstyle="butt")
         axes.plot(estimate.mean, row, "o", color=colour, markeredgecolor=BLACK, markersize=7)
         if paper and name in paper:

@@ -32,7 +32,7 @@ def check_project_l2(project: Callable[[Tensor, Tensor, float], Tensor]) -> None
     for epsilon in (0.0, 0.5, 4.0):
         expected = Budget(epsilon, norm=2).project(obs, perturbed)
         compare(f"project of 50 random observations with epsilon {epsilon}", project(obs, perturbed, epsilon), expected)
-    print("Right. Whoever is inside stays, whoever is outside comes straight back to the border.")
+    print("Right. Who is inside stays, who is outside comes straight to the border.")
 
 
 def check_opposite(opposite: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None:
@@ -60,7 +60,7 @@ def check_opposite(opposite: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None
     std = torch.rand(6, generator=generator) + 0.1
     expected = torch.stack([d @ torch.diag(1 / std**2) @ d for d in seen - mean])
     compare("opposite of 20 random actions", opposite(mean, seen, std), expected, atol=1e-3)
-    print("Right. Twice this is, up to a constant, how much less likely the preferred action has become.")
+    print("Right. Half of this is the KL divergence between the two Gaussians.")
 
 
 def check_fgsm(fgsm: Callable[[Tensor, Tensor, Tensor, float], Tensor]) -> None:
@@ -101,7 +101,7 @@ def check_fgsm(fgsm: Callable[[Tensor, Tensor, Tensor, float], Tensor]) -> None:
         got,
         obs + (start + epsilon * torch.sign(start @ gain.T @ gain)).clamp(-epsilon, epsilon),
     )
-    print(f"Right. The action moves by {after:.3f} on average, and by {before:.3f} under random noise.")
+    print(f"Right. The action moves by {after:.2f} on average, by {before:.2f} under noise.")
 
 
 def check_vulnerable(vulnerable: Callable) -> None:
@@ -131,4 +131,4 @@ def check_vulnerable(vulnerable: Callable) -> None:
         f"{call} gives numbers; an indicator is True or False (a bool tensor)"
     )
     compare("vulnerable(policy, q, obs, 3.5)", vulnerable(policy, q, obs, 3.5), [1, 0, 1, 1])
-    print("Right. This is all the attacker needs: the policy, its critic and one threshold.")
+    print("Right. That is all the attacker needs: policy, critic and one threshold.")

@@ -31,7 +31,7 @@ def check_returns_to_go(returns_to_go: Callable[[np.ndarray, float], np.ndarray]
         ahead = np.arange(40) - np.arange(40)[:, None]
         weights = np.where(ahead >= 0, gamma ** np.maximum(ahead, 0.0), 0)
         compare(f"returns_to_go(reward, {gamma}) of 40 random rewards", returns_to_go(reward, gamma), weights @ reward)
-    print("Right. With gamma = 0 only the next reward counts, with gamma = 1 all that are left.")
+    print("Right. With gamma = 0 only the next reward counts, with gamma = 1 all.")
 
 
 def check_returns_and_lengths(
@@ -112,4 +112,5 @@ def check_interval(interval: Callable[[np.ndarray, np.random.Generator, int], tu
     trials = [(rng.exponential(size=40), np.random.default_rng(i)) for i in range(200)]
     hits = np.mean([low <= 1 <= high for low, high in (interval(values, rng, 400) for values, rng in trials)])
     assert hits > 0.85, f"of 200 intervals only {hits:.0%} hold the true mean"
-    print(f"Right. Of 200 such intervals, of 40 skewed values each, {hits:.0%} hold the true mean; 95 % is promised.")
+    print(f"Right. Of 200 such intervals {hits:.0%} hold the true mean; 95 % is promised,")
+    print("but each came from only 40 values, and very skewed ones.")
