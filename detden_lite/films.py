@@ -64,7 +64,7 @@ def film(
     size = (width * len(shots), width + CAPTION)
     # Faststart puts the index first, so that a browser can begin before it has everything.
     options = ["-crf", str(quality), "-preset", "veryslow", "-movflags", "+faststart", "-fflags", "+bitexact"]
-    with _atomic(path) as temporary, _Studio(robot, width) as studio:
+    with _Studio(robot, width) as studio, _atomic(path) as temporary:
         writer = imageio_ffmpeg.write_frames(
             temporary, size, fps=fps, codec="libx264", quality=None, macro_block_size=2, output_params=options
         )
@@ -80,9 +80,12 @@ def still(
 ) -> Path:
     """Write the picture, a .png, that ``film`` of the same episodes has at a time in seconds."""
     path = _checked(path, ".png", width)
+    if not seconds >= 0:
+        raise ValueError(f"seconds: {seconds} must not be negative")
     robot = Robot.of(task)
+    shots = takes(robot, episodes, index)
     with _Studio(robot, width) as studio:
-        picture = studio.row(takes(robot, episodes, index), round(seconds / robot.dt))
+        picture = studio.row(shots, round(seconds / robot.dt))
     return _save(picture, path)
 
 
@@ -97,11 +100,12 @@ def filmstrip(
 ) -> Path:
     """Write a .png with a row for each kind of episodes and a column for each time in seconds."""
     path = _checked(path, ".png", width)
-    if not len(seconds):
-        raise ValueError("seconds is empty: give the times of the columns")
+    if not len(seconds) or min(seconds) < 0:
+        raise ValueError(f"seconds is empty or has negative times: {list(seconds)}; give the times of the columns")
     robot = Robot.of(task)
+    shots = takes(robot, episodes, index)
     with _Studio(robot, width) as studio:
-        columns = [studio.column(takes(robot, episodes, index), round(time / robot.dt)) for time in seconds]
+        columns = [studio.column(shots, round(time / robot.dt)) for time in seconds]
     return _save(_beside(columns), path)
 
 

@@ -87,7 +87,7 @@ class Take:
 
     name: str
     colour: tuple[int, int, int]
-    fell: bool  # it ended before its time
+    fell: bool  # it ended before its time, which is that of the longest episode beside it
     positions: np.ndarray  # [T, nq] before each action, and one row more where the state after the last is known
     obs: np.ndarray
     perturbed: np.ndarray
@@ -110,7 +110,9 @@ def takes(robot: Robot, episodes: Mapping[str, Episodes], index: int) -> list[Ta
     if not 0 < len(episodes) <= len(COLOURS):
         raise ValueError(f"episodes: give 1 to {len(COLOURS)} kinds of episodes, by name, not {len(episodes)}")
     horizon = max(len(kind.mask) for kind in episodes.values())
-    return [_take(robot, *item, index, colour, horizon) for item, colour in zip(episodes.items(), COLOURS, strict=False)]
+    return [
+        _take(robot, *item, index, colour, horizon) for item, colour in zip(episodes.items(), COLOURS, strict=False)
+    ]
 
 
 def _take(robot: Robot, name: str, kind: Episodes, index: int, colour: tuple[int, int, int], horizon: int) -> Take:
