@@ -18,7 +18,7 @@ NAMES = ("clean", "attacked", "defended")
 
 @pytest.fixture(scope="module")
 def episodes():
-    """Clean, attacked at half of the steps, and defended; an untrained policy falls within 60 steps, the second first."""
+    """Clean, attacked at half of the steps, and defended; the untrained policy soon falls, the second time sooner."""
     victim, noise = make_victim(), UniformNoise(BUDGET, seed=1)
     run = dict(victim=victim, task=HOPPER, seeds=[0, 1], steps=60)
     half = Random(0.5, seed=2)
