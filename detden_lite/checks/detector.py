@@ -35,7 +35,7 @@ def check_sample_latent(sample_latent: Callable[[Tensor, Tensor, Tensor], Tensor
         f"the gradient of z with respect to the mean should be 1, and yours is {gradient[0, 0]:.0f}: "
         "use plain arithmetic on mean, without detach or no_grad"
     )
-    print("Right: the randomness comes in from outside, so that gradients flow through mean and log_variance.")
+    print("Right: randomness comes in from outside, so gradients flow through the rest.")
 
 
 def check_kl(kl: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None:
@@ -69,7 +69,7 @@ def check_kl(kl: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None:
     )
     free = kl(mean, log_variance, mean)
     assert (free <= result + 1e-6).all(), "no prior mean can be better than q's own; check the sign of the mean's part"
-    print("Right: and with prior_mean = mean the mean's part is gone, which is the paper's free prior at its best.")
+    print("Right: with prior_mean = mean, the paper's free prior, mu costs nothing.")
 
 
 def check_calibrate(calibrate: Callable[[np.ndarray, float], float]) -> None:
