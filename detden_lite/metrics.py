@@ -33,8 +33,8 @@ def iqm(values: np.ndarray, axis: int = -1) -> np.ndarray:
 def estimate(values: np.ndarray, seed: int = 0, resamples: int = 2_000) -> Estimate:
     """Mean and interquartile mean of ``[N]`` values with percentile bootstrap intervals."""
     values = np.asarray(values, dtype=float)
-    if values.size == 0 or not np.isfinite(values).all():
-        raise ValueError("values must hold at least one number, all of them finite")
+    if values.ndim != 1 or not len(values) or not np.isfinite(values).all():
+        raise ValueError("values must be one row of at least one number, all of them finite")
     draws = values[np.random.default_rng(seed).integers(len(values), size=(resamples, len(values)))]
     low, high = np.quantile(draws.mean(-1), [0.025, 0.975])
     iqm_low, iqm_high = np.quantile(iqm(draws), [0.025, 0.975])
@@ -54,6 +54,10 @@ class DetectorScores:
 def detector_scores(attacked: np.ndarray, alarm: np.ndarray) -> DetectorScores:
     """Scores of boolean alarms against boolean truth, of the same shape."""
     attacked, alarm = np.asarray(attacked, dtype=bool), np.asarray(alarm, dtype=bool)
+    if attacked.shape != alarm.shape or not attacked.size:
+        raise ValueError(
+            f"attacked and alarm must be of one shape and not empty, not {attacked.shape} and {alarm.shape}"
+        )
     hit, miss = (attacked & alarm).sum(), (attacked & ~alarm).sum()
     false, right = (~attacked & alarm).sum(), (~attacked & ~alarm).sum()
 
