@@ -1,0 +1,130 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from detden_lite.defense.augmentation import Trajectories
+from detden_lite.defense.gruvae import reconstruction_loss
+from detden_lite.defense.training import VAERecipe, train_gruvae
+
+RECIPE = VAERecipe(hidden=16, latent=4, epochs=4, batch=8, chunk=7, learning_rate=1e-2)
+
+
+def waves(n: int = 24, steps: int = 20, seed: int = 0) -> Trajectories:
+    """Sine waves of three phases each, of several lengths."""
+    rng = np.random.default_rng(seed)
+    lengths = rng.integers(5, steps + 1, n)
+    phase = rng.uniform(0, 6.28, (n, 1, 3))
+    obs = np.sin(np.arange(steps)[None, :, None] * [0.3, 0.5, 0.7] + phase).astype(np.float32) * [1, 10, 0.1]
+    trajectories = Trajectories(obs.astype(np.float32), lengths)
+    trajectories.obs[~trajectories.mask] = 0
+    return trajectories
+
+
+NORMAL = waves()
+PAIRS = [(NORMAL, NORMAL)]
+
+
+def same(model, other) -> bool:
+    return all(torch.equal(value, other.state_dict()[name]) for name, value in model.state_dict().items())
+
+
+class Killed(Exception):
+    pass
+
+
+def kill_after(last: int):
+    def after_epoch(epoch, model):
+        if epoch == last:
+            raise Killed
+
+    return after_epoch
+
+
+@pytest.mark.parametrize("last", [0, 2])
+def test_a_training_that_is_killed_and_resumed_is_one_that_never_stopped(tmp_path, last):
+    uninterrupted = train_gruvae(RECIPE, PAIRS, seed=3)
+    path = tmp_path / "deep" / "model.ckpt"
+    with pytest.raises(Killed):
+        train_gruvae(RECIPE, PAIRS, 3, path, kill_after(last))
+    seen = []
+    resumed = train_gruvae(RECIPE, PAIRS, 3, path, lambda epoch, model: seen.append(epoch))
+    assert seen == list(range(last + 1, RECIPE.epochs))
+    assert same(resumed, uninterrupted)
+
+
+def test_a_finished_training_is_not_repeated(tmp_path):
+    path = tmp_path / "model.ckpt"
+    first = train_gruvae(RECIPE, PAIRS, 0, path)
+    content = path.read_bytes()
+    assert same(train_gruvae(RECIPE, PAIRS, 0, path, kill_after(0)), first)
+    assert path.read_bytes() == content
+
+
+def test_a_kill_while_writing_leaves_the_last_checkpoint(tmp_path):
+    path = tmp_path / "model.ckpt"
+    with pytest.raises(Killed):
+        train_gruvae(RECIPE, PAIRS, 0, path, kill_after(1))
+    path.with_suffix(".new").write_bytes(path.read_bytes()[:100])
+    assert same(train_gruvae(RECIPE, PAIRS, 0, path), train_gruvae(RECIPE, PAIRS, 0))
+
+
+@pytest.mark.parametrize("change", [dict(beta=0.5), dict(epochs=5), dict(hidden=8)])
+def test_a_checkpoint_of_another_recipe_is_refused(tmp_path, change):
+    path = tmp_path / "model.ckpt"
+    with pytest.raises(Killed):
+        train_gruvae(RECIPE, PAIRS, 0, path, kill_after(0))
+    for recipe, seed in ((replace(RECIPE, **change), 0), (RECIPE, 1)):
+        with pytest.raises(ValueError, match="model.ckpt.*another recipe"):
+            train_gruvae(recipe, PAIRS, seed, path)
+
+
+def test_the_same_seed_gives_the_same_model():
+    assert same(train_gruvae(RECIPE, PAIRS, 0), train_gruvae(RECIPE, PAIRS, 0))
+    assert not same(train_gruvae(RECIPE, PAIRS, 0), train_gruvae(RECIPE, PAIRS, 1))
+
+
+def test_padding_teaches_nothing():
+    padded = Trajectories(np.where(NORMAL.mask[..., None], NORMAL.obs, 1e3).astype(np.float32), NORMAL.lengths)
+    assert same(train_gruvae(RECIPE, [(padded, padded)], 0), train_gruvae(RECIPE, PAIRS, 0))
+
+
+def test_statistics_are_those_of_the_true_observations():
+    attacked = Trajectories(NORMAL.obs + 100, NORMAL.lengths)
+    model = train_gruvae(replace(RECIPE, epochs=1), [(NORMAL, NORMAL), (attacked, NORMAL)], 0)
+    seen = NORMAL.obs[NORMAL.mask]
+    assert np.allclose(model.obs_mean, seen.mean(0), atol=1e-5) and np.allclose(model.obs_std, seen.std(0), rtol=1e-2)
+
+
+def test_training_lowers_the_loss_on_trajectories_it_has_not_seen():
+    held_out = waves(seed=1)
+    obs, mask = torch.from_numpy(held_out.obs), torch.from_numpy(held_out.mask)
+
+    def loss(epochs):
+        model = train_gruvae(replace(RECIPE, epochs=epochs), PAIRS, 0)
+        return float(reconstruction_loss(model, model(obs).output, obs)[mask].mean())
+
+    assert loss(30) < 0.5 * loss(1)
+
+
+def test_a_denoiser_comes_closer_to_the_truth_than_what_it_is_given():
+    """Attacked trajectories are shifted by as much as they vary; half of the pairs are not attacked."""
+
+    def attacked(t: Trajectories) -> Trajectories:
+        return Trajectories((t.obs + t.mask[..., None] * np.float32([1, -10, 0.1])).astype(np.float32), t.lengths)
+
+    recipe = replace(RECIPE, epochs=40, residual=True)
+    model = train_gruvae(recipe, [(NORMAL, NORMAL), (attacked(NORMAL), NORMAL)], 0)
+    held_out = waves(seed=1)
+    given, mask = attacked(held_out).obs, held_out.mask
+    denoised = model(torch.from_numpy(given)).output.numpy()
+    unit = model.obs_std.numpy()
+    assert (
+        np.abs((denoised - held_out.obs) / unit)[mask].mean() < 0.6 * np.abs((given - held_out.obs) / unit)[mask].mean()
+    )
+
+
+def test_the_trained_model_is_frozen():
+    model = train_gruvae(replace(RECIPE, epochs=1), PAIRS, 0)
+    assert not model.training and not any(p.requires_grad for p in model.parameters())
