@@ -15,7 +15,7 @@ CHAPTERS := $(wildcard book/chapters/*.md)
 TOOLS := $(wildcard book/tools/*.py)
 LIBRARY := $(wildcard detden_lite/*.py detden_lite/*/*.py)
 DATA := $(wildcard data/* data/*/*)
-BOOK := $(CHAPTERS) $(TOOLS) $(wildcard book/*.* book/_static/* book/images/*)
+BOOK := $(CHAPTERS) $(TOOLS) $(wildcard book/*.* book/_static/* book/images/* book/viewer/*/*)
 
 .DEFAULT_GOAL := help
 .PHONY: help book test notebooks lab bench lint lock clean

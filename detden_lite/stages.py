@@ -217,25 +217,28 @@ def evaluate(run: Run, variants=tuple(VARIANTS)) -> None:
             print(f"{name}: {metrics.Estimate(**record['estimate'])}")
 
 
-def look(run: Run, variant: str = "residual") -> None:
-    """A recording, a film and stills of one report episode clean, attacked and defended; needs a GL driver."""
+def look(run: Run, variant: str = "residual", n: int = 16) -> None:
+    """A recording, a film and stills of one report episode clean, attacked and defended; needs a GL driver.
+
+    Of the first n report episodes it is the one whose attacked length is the median.
+    """
     from detden_lite import films, recordings  # the one stage that needs rerun and ffmpeg
 
-    victim, attack, defense = run.victim(), run.opposite(run.victim()), run.defense(variant)
+    victim, defense = run.victim(), run.defense(variant)
+    attack = run.opposite(victim)
     takes = {
-        name: rollout(victim, run.task, study.seeds("report", 1), steps=run.scale.horizon, **parts)
+        name: rollout(victim, run.task, study.seeds("report", n), steps=run.scale.horizon, **parts)
         for name, parts in dict(
             clean={}, attacked=dict(attack=attack), defended=dict(attack=attack, defense=defense)
         ).items()
     }
-    name = f"{run.folder.name}-opposite"
-    looks = run.root / "films"
-    recordings.record(
-        run.root / "recordings" / f"{name}.rrd", run.task, *takes.values(), threshold=defense.detector.threshold
-    )
-    films.film(looks / f"{name}.mp4", run.task, takes)
-    films.still(looks / f"{name}.png", run.task, takes, seconds=2.0)
-    films.filmstrip(looks / f"{name}-strip.png", run.task, takes, seconds=(0.5, 1.0, 1.5, 2.0, 3.0, 4.0))
+    index = int(np.argsort(takes["attacked"].lengths, kind="stable")[n // 2])
+    name, threshold = f"{run.folder.name}-opposite", defense.detector.threshold
+    recordings.record(run.root / "recordings" / f"{name}.rrd", run.task, *takes.values(), index, threshold=threshold)
+    folder = run.root / "films"
+    films.film(folder / f"{name}.mp4", run.task, takes, index)
+    films.still(folder / f"{name}.png", run.task, takes, index, seconds=2.0)
+    films.filmstrip(folder / f"{name}-strip.png", run.task, takes, index, seconds=(0.3, 0.6, 0.9, 1.2, 2.0, 3.0))
 
 
 def publish(run: Run, data: Path = artifacts.DATA) -> None:
