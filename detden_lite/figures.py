@@ -55,7 +55,8 @@ def table(columns: Sequence[str], rows: Sequence[Sequence]) -> HTML:
         return "<tr>" + "".join(f"<{tag}>{cell}</{tag}>" for cell in cells) + "</tr>"
 
     body = "".join(line(row, "td") for row in rows)
-    return HTML(f'<table class="table"><thead>{line(columns, "th")}</thead><tbody>{body}</tbody></table>')
+    # The class tells themes that the output needs no light ground when the page is dark.
+    return HTML(f'<table class="table dataframe"><thead>{line(columns, "th")}</thead><tbody>{body}</tbody></table>')
 
 
 def units(names: Sequence[str]) -> list[str]:
