@@ -1,6 +1,7 @@
 """The recipe on the command line: ``python -m detden_lite STAGE --task hopper --algo td3 --scale lite``."""
 
 import argparse
+import sys
 from pathlib import Path
 
 from detden_lite import stages

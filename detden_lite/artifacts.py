@@ -1,4 +1,4 @@
-"""What is in data/: safetensors with a JSON sidecar, JSON records, and one manifest of SHA-256 sums that is always checked."""
+"""What is in data/: safetensors with a JSON sidecar, JSON records, and a manifest of SHA-256 sums that is always checked."""
 
 import hashlib
 import json
@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from filelock import FileLock
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
@@ -26,12 +27,16 @@ class ArtifactError(Exception):
 
 
 def write_bytes(path: Path, content: bytes, root: Path = DATA) -> None:
-    """Write a file of data/ atomically and note its SHA-256 in the manifest of ``root``."""
+    """Write a file of data/ atomically and note its SHA-256 in the manifest of ``root``.
+
+    Several processes may write at once: the stages of a recipe run side by side.
+    """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    _replace(path, content)
-    manifest = _manifest(root) | {path.relative_to(root).as_posix(): hashlib.sha256(content).hexdigest()}
-    _replace(root / "manifest.json", (json.dumps(manifest, indent=1, sort_keys=True) + "\n").encode())
+    with FileLock(root / ".manifest.lock"):
+        replace(path, content)
+        manifest = _manifest(root) | {path.relative_to(root).as_posix(): hashlib.sha256(content).hexdigest()}
+        replace(root / "manifest.json", (json.dumps(manifest, indent=1, sort_keys=True) + "\n").encode())
 
 
 def read_bytes(path: Path, root: Path = DATA) -> bytes:
@@ -42,7 +47,7 @@ def read_bytes(path: Path, root: Path = DATA) -> bytes:
     """
     path = Path(path)
     if not path.exists():
-        raise ArtifactError(f"{path} is missing; restore it with git, or make it anew with its recipe (see data/README.md)")
+        raise ArtifactError(f"{path} is missing; restore it with git, or make it with its recipe (see data/README.md)")
     content = path.read_bytes()
     expected = _manifest(root).get(path.relative_to(root).as_posix())
     if expected is None:
@@ -50,6 +55,14 @@ def read_bytes(path: Path, root: Path = DATA) -> bytes:
     if hashlib.sha256(content).hexdigest() != expected:
         raise ArtifactError(f"{path} is truncated or altered (its SHA-256 is not the manifest's); restore it with git")
     return content
+
+
+def is_made(path: Path, root: Path = DATA) -> bool:
+    """Whether a file, and the sidecar of a .safetensors file, are there as the manifest has them; else make them anew."""
+    try:
+        return all(read_bytes(file, root) for file in {Path(path), Path(path).with_suffix(".json")})
+    except ArtifactError:
+        return False
 
 
 def save_tensors(path: Path, state: Mapping[str, Tensor], sidecar: Mapping, root: Path = DATA) -> None:
@@ -140,10 +153,14 @@ def _build(kind, path: Path, root: Path):
 
 def _manifest(root: Path) -> dict[str, str]:
     path = root / "manifest.json"
-    return json.loads(path.read_text()) if path.exists() else {}
+    try:
+        return json.loads(path.read_text()) if path.exists() else {}
+    except json.JSONDecodeError as error:
+        raise ArtifactError(f"{path} is truncated or altered ({error}); restore it with git") from None
 
 
-def _replace(path: Path, content: bytes) -> None:
+def replace(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all: a kill on the way leaves the old one."""
     new = path.with_name(path.name + ".new")
     new.write_bytes(content)
     os.replace(new, path)

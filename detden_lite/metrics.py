@@ -73,7 +73,7 @@ def detector_scores(attacked: np.ndarray, alarm: np.ndarray) -> DetectorScores:
 
 
 def mean_absolute_error(episodes: Episodes) -> float | None:
-    """MAE of the denoised observation on attacked steps (table 4), in raw units; None if nothing was attacked."""
+    """MAE of the denoised observation on attacked steps (table 3), in raw units; None if nothing was attacked."""
     rows = episodes.mask & episodes.attacked
     return float(np.abs(episodes.denoised[rows] - episodes.obs[rows]).mean()) if rows.any() else None
 

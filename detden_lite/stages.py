@@ -139,7 +139,7 @@ def collect(run: Run, data: str) -> None:
     wanted = [(f"normal-{data}", "normal", run.scale.trajectories, DATASETS[data]), ("calibration", "calibration", held_out, (0.0,))]
     for folder, purpose, n, noise in wanted:
         for path, part in _shards(run, folder, n):
-            if not path.exists():
+            if not artifacts.is_made(path, run.root):
                 shard = augmentation.collect_normal(
                     victim, run.task, study.seeds(purpose, n)[part], noise, steps=run.scale.horizon
                 )
@@ -151,7 +151,7 @@ def augment(run: Run, data: str) -> None:
     victim = run.victim()
     for index, (path, _) in enumerate(_shards(run, f"normal-{data}", run.scale.trajectories)):
         target = path.parent.with_name(f"adversarial-{data}") / path.name
-        if not target.exists():
+        if not artifacts.is_made(target, run.root):
             attacked = augmentation.augment(_load_shard(run, path), run.opposite(victim), seed=index)
             _save_shard(run, target, attacked)
 
@@ -200,14 +200,14 @@ def evaluate(run: Run, variants=tuple(VARIANTS)) -> None:
     victim = run.victim()
     threat = study.Threat(run.budget, run.scale.attack_steps)
     path = run.folder / "timing.json"
-    if not path.exists():
+    if not artifacts.is_made(path, run.root):
         artifacts.write_json(path, study.tune_vulnerable(run.task, victim, threat, steps=run.scale.horizon), run.root)
     tuned = artifacts.read_json(path, run.root)
     threat = replace(threat, c_vul=tuned["c_vul"], rate=tuned["attack_rate"])
     for cell in cells(variants):
         name = cell.record_name(run.task.name, run.algo)
         path = run.root / "results" / f"{name}.json"
-        if not path.exists():
+        if not artifacts.is_made(path, run.root):
             defense = None if cell.defense == "none" else run.defense(cell.defense)
             record, _ = study.run_cell(
                 cell, run.task, victim, threat, defense, study.seeds("report", run.scale.episodes),

@@ -3,7 +3,11 @@
 import pytest
 from conftest import HTML, SCREENSHOTS
 
-PAGES = sorted(path.relative_to(HTML).as_posix() for path in HTML.glob("**/*.html") if "/_" not in f"/{path.relative_to(HTML).as_posix()}")
+PAGES = sorted(
+    path.relative_to(HTML).as_posix()
+    for path in HTML.glob("**/*.html")
+    if "/_" not in f"/{path.relative_to(HTML).as_posix()}"
+)
 CHAPTERS = [page for page in PAGES if page.startswith("chapters/")]
 
 # The WCAG contrast of every piece of text with what lies behind it: [[contrast, text], ...], the worst first.
@@ -81,7 +85,8 @@ def test_mathematics_is_typeset(page):
 
 def test_images_are_there_and_described(page):
     images = page.eval_on_selector_all(
-        "img", "all => all.map(i => [i.src.slice(-80), i.alt.trim(), i.getAttribute('src'), i.complete && i.naturalWidth > 0])"
+        "img",
+        "all => all.map(i => [i.src.slice(-80), i.alt.trim(), i.getAttribute('src'), i.complete && i.naturalWidth > 0])",
     )
     # docutils writes the address where it has no description
     assert [source for source, alt, address, loaded in images if not loaded or not alt or alt == address] == []
@@ -121,7 +126,9 @@ def test_widgets_move_without_a_kernel(page, visited):
         before = widget.evaluate(pictures)
         assert before, "a widget shows no picture: see AUTHORING.md"
         widget.locator(".noUi-handle").first.press("ArrowRight")
-        page.wait_for_function(f"([widget, before]) => ({pictures})(widget) !== before", arg=[widget.element_handle(), before])
+        page.wait_for_function(
+            f"([widget, before]) => ({pictures})(widget) !== before", arg=[widget.element_handle(), before]
+        )
     assert visited.problems == []
 
 

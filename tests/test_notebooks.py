@@ -54,14 +54,10 @@ def test_student_notebook_runs_to_its_end_and_every_check_fails(name, tmp_path):
 
 
 def test_stub_keeps_the_code_around_the_solution_and_its_indentation():
-    source = (
-        "# Exercise 2.1: say \"hello\"\ndef hello(name):\n    if name:\n        ### BEGIN SOLUTION\n        text = name\n"
-        "        print(text)\n        ### END SOLUTION\n    return text"
-    )
-    assert stub(source) == (
-        "# Exercise 2.1: say \"hello\"\ndef hello(name):\n    if name:\n"
-        '        raise NotImplementedError("Exercise 2.1: say \\"hello\\"")\n    return text'
-    )
+    before = '# Exercise 2.1: say "hello"\ndef hello(name):\n    if name:\n'
+    solution = "        ### BEGIN SOLUTION\n        text = name\n        print(text)\n        ### END SOLUTION\n"
+    error = '        raise NotImplementedError("Exercise 2.1: say \\"hello\\"")\n'
+    assert stub(f"{before}{solution}    return text") == f"{before}{error}    return text"
 
 
 @pytest.mark.parametrize(

@@ -72,7 +72,8 @@ def test_what_has_no_plain_form_is_refused(source, message, labels):
 
 def test_labels_are_numbered_in_reading_order_also_inside_directives():
     numbers, found = iter("123"), Labels()
-    source = "(here)=\n### A *heading*\n\n````{note}\n$$ x $$ (eq-a)\n````\n```{figure} x.png\n:name: fig-a\n```\n$$ y $$ (eq-b)"
+    source = "(here)=\n### A *heading*\n\n````{note}\n$$ x $$ (eq-a)\n````\n```{figure} x.png\n:name: fig-a\n```\n"
+    source += "$$ y $$ (eq-b)"
     collect(source.split("\n"), found, lambda kind: f"{kind} {next(numbers)}")
     assert (found.headings, found.figures) == ({"here": "A *heading*"}, {"fig-a": "figure 2"})
     assert found.equations == {"eq-a": "equation 1", "eq-b": "equation 3"}

@@ -182,7 +182,7 @@ def _role(name: str, argument: str, labels: Labels) -> str:
         return "(" + "; ".join(f"{authors}, {year}" for authors, year in found) + ")"
     if name == "cite:t":
         return "{} ({})".format(*_find(labels.citations, target, "citation"))
-    raise ValueError(f"the role {{{name}}} has no plain form for the notebooks: see AUTHORING.md for those that have")
+    raise ValueError(f"the role {{{name}}} has no plain form for notebooks: AUTHORING.md lists those that do")
 
 
 def _find(labels: dict, name: str, kind: str):

@@ -1,1 +1,1 @@
-"""What exercises are checked with, one module a chapter: each ``check_*`` is silent or raises an AssertionError that says what differs."""
+"""What exercises are checked with, one module a chapter: a ``check_*`` raises an AssertionError that says what differs."""
