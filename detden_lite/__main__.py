@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 from detden_lite import stages
+from detden_lite.artifacts import ArtifactError
 from detden_lite.tasks import TASKS
 
 
@@ -12,8 +13,8 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     top = argparse.ArgumentParser(
         prog="python -m detden_lite",
-        description="Train, attack and defend a victim, stage by stage. A stage makes what is missing: after an interruption, "
-        "run it again and it goes on.",
+        description="Train, attack and defend a victim, stage by stage. A stage makes what is missing: after an "
+        "interruption, run it again and it goes on.",
     )
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--task", choices=TASKS, default="hopper", help="default: %(default)s")
@@ -52,8 +53,16 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Run one stage."""
+    """Run one stage; what it refuses becomes one line on stderr and the exit status 1."""
     args = parser().parse_args(argv)
+    try:
+        run_stage(args)
+    except (ValueError, ArtifactError) as error:
+        sys.exit(f"error: {error}")
+
+
+def run_stage(args: argparse.Namespace) -> None:
+    """Run the stage that was parsed."""
     run = stages.Run.of(args.root or Path("runs") / args.scale, args.task, args.algo, args.scale)
     match args.stage:
         case "victim":

@@ -1,4 +1,4 @@
-"""What is in data/: safetensors with a JSON sidecar, JSON records, and a manifest of SHA-256 sums that is always checked."""
+"""What is in data/: safetensors with a JSON sidecar, JSON records, and their SHA-256 sums, which are always checked."""
 
 import hashlib
 import json
@@ -34,9 +34,9 @@ def write_bytes(path: Path, content: bytes, root: Path = DATA) -> None:
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with FileLock(root / ".manifest.lock"):
-        replace(path, content)
+        replace_file(path, content)
         manifest = _manifest(root) | {path.relative_to(root).as_posix(): hashlib.sha256(content).hexdigest()}
-        replace(root / "manifest.json", (json.dumps(manifest, indent=1, sort_keys=True) + "\n").encode())
+        replace_file(root / "manifest.json", (json.dumps(manifest, indent=1, sort_keys=True) + "\n").encode())
 
 
 def read_bytes(path: Path, root: Path = DATA) -> bytes:
@@ -58,7 +58,7 @@ def read_bytes(path: Path, root: Path = DATA) -> bytes:
 
 
 def is_made(path: Path, root: Path = DATA) -> bool:
-    """Whether a file, and the sidecar of a .safetensors file, are there as the manifest has them; else make them anew."""
+    """Whether a file, and the sidecar of a .safetensors file, are there as the manifest has them."""
     try:
         return all(read_bytes(file, root) for file in {Path(path), Path(path).with_suffix(".json")})
     except ArtifactError:
@@ -159,7 +159,7 @@ def _manifest(root: Path) -> dict[str, str]:
         raise ArtifactError(f"{path} is truncated or altered ({error}); restore it with git") from None
 
 
-def replace(path: Path, content: bytes) -> None:
+def replace_file(path: Path, content: bytes) -> None:
     """Write a file whole or not at all: a kill on the way leaves the old one."""
     new = path.with_name(path.name + ".new")
     new.write_bytes(content)

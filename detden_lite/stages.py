@@ -87,12 +87,8 @@ def select_victim(run: Run) -> None:
     Every snapshot plays 5 screening episodes (the learning curve); the ten best of these play selection episodes; the
     best of those is shipped, and evaluated once on the report's episodes.
     """
-    runs = sorted((run.folder / "checkpoints").glob("victim-*"))
-    if not runs:
-        raise ValueError(f"{run.folder / 'checkpoints'} holds no victim; run the victim stage first")
-    config = None
-    rows = []
-    for folder in runs:
+    rows, curves = [], []
+    for folder in sorted((run.folder / "checkpoints").glob("victim-*")):
         recipe = json.loads((folder / "recipe.json").read_text())
         net = [recipe["net"]] * 2
         config = dict(
@@ -101,16 +97,16 @@ def select_victim(run: Run) -> None:
         for snapshot in tqdm(sorted((folder / "snapshots").glob("*.safetensors")), desc=folder.name, unit="snapshot"):
             mean = _returns(run, config, snapshot, study.seeds("screening", 5)).mean()
             rows.append(dict(recipe=recipe, step=int(snapshot.stem), mean=float(mean), path=snapshot, config=config))
+        own = [row for row in rows if row["recipe"] is recipe]
+        curves.append(dict(seed=recipe["seed"], steps=[row["step"] for row in own], mean=[row["mean"] for row in own]))
+    if not rows:
+        raise ValueError(f"{run.folder / 'checkpoints'} holds no snapshot of a victim; run the victim stage first")
     best = sorted(rows, key=lambda row: -row["mean"])[:10]
     episodes = study.seeds("selection", run.scale.episodes)
     for row in tqdm(best, desc="selection", unit="snapshot"):
         row["selection"] = float(_returns(run, row["config"], row["path"], episodes).mean())
     chosen = max(best, key=lambda row: row["selection"])
     returns = _returns(run, chosen["config"], chosen["path"], study.seeds("report", run.scale.episodes))
-    curves = [
-        dict(seed=folder_rows[0]["recipe"]["seed"], steps=[r["step"] for r in folder_rows], mean=[r["mean"] for r in folder_rows])
-        for folder_rows in ([r for r in rows if r["path"].parent.parent == folder] for folder in runs)
-    ]
     sidecar = dict(
         task=run.task.name,
         env_id=run.task.env_id,

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import gymnasium
 import numpy as np
-from safetensors.torch import save_file
+from safetensors.torch import save
 from tqdm import tqdm
 
+from detden_lite.artifacts import replace_file
 from detden_lite.tasks import Task
 from detden_lite.victims import Victim
 
@@ -57,6 +58,8 @@ def train_td3(task: Task, recipe: TD3Recipe, seed: int, folder: Path) -> list[Pa
     checkpoint, snapshots = folder / "checkpoint", folder / "snapshots"
     snapshots.mkdir(exist_ok=True)
     env = gymnasium.make(task.env_id)
+    if not checkpoint.exists() and (old := checkpoint.with_name("checkpoint.old")).exists():
+        old.rename(checkpoint)  # a kill came between the two renames of _save_checkpoint
     if checkpoint.exists():
         model = TD3.load(checkpoint / "model.zip", env=env)
         model.load_replay_buffer(checkpoint / "buffer.pkl")
@@ -79,14 +82,14 @@ def train_td3(task: Task, recipe: TD3Recipe, seed: int, folder: Path) -> list[Pa
         done = 0
 
     segments = recipe.steps // recipe.segment
-    with tqdm(total=recipe.steps, initial=done * recipe.segment, desc=f"TD3 {task.name} seed {seed}", unit="step") as bar:
+    label = f"TD3 {task.name} seed {seed}"
+    with tqdm(total=recipe.steps, initial=done * recipe.segment, desc=label, unit="step") as bar:
         for segment in range(done, segments):
             model.set_env(gymnasium.make(task.env_id))  # forgets the episode under way
             model.set_random_seed(int(np.random.SeedSequence([seed, segment]).generate_state(1)[0]))
             model.learn(recipe.segment, reset_num_timesteps=False)
             steps = (segment + 1) * recipe.segment
-            victim = Victim.from_sb3(model)
-            save_file(victim.state_dict(), snapshots / f"{steps:08d}.safetensors")
+            replace_file(snapshots / f"{steps:08d}.safetensors", save(Victim.from_sb3(model).state_dict()))
             _save_checkpoint(model, checkpoint, segment + 1)
             returns = [episode["r"] for episode in model.ep_info_buffer]
             bar.set_postfix(training_return=f"{np.mean(returns):.0f}" if returns else "-")
@@ -100,7 +103,7 @@ def _claim(folder: Path, description: dict) -> None:
     recipe_file = folder / "recipe.json"
     if recipe_file.exists() and json.loads(recipe_file.read_text()) != description:
         raise ValueError(f"{recipe_file} describes another run; choose another folder, or remove {folder}")
-    recipe_file.write_text(json.dumps(description, indent=1))
+    replace_file(recipe_file, json.dumps(description, indent=1).encode())
 
 
 def _save_checkpoint(model, checkpoint: Path, segments: int) -> None:
@@ -110,5 +113,9 @@ def _save_checkpoint(model, checkpoint: Path, segments: int) -> None:
     model.save(new / "model.zip")
     model.save_replay_buffer(new / "buffer.pkl")
     (new / "segments.json").write_text(json.dumps(segments))
-    shutil.rmtree(checkpoint, ignore_errors=True)
+    old = checkpoint.with_name("checkpoint.old")
+    if checkpoint.exists():
+        shutil.rmtree(old, ignore_errors=True)
+        checkpoint.rename(old)
     new.rename(checkpoint)
+    shutil.rmtree(old, ignore_errors=True)

@@ -1,0 +1,160 @@
+import json
+import os
+import pickle
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+import torch
+from builders import make_gruvae, make_victim, normal
+
+from detden_lite import artifacts
+from detden_lite.artifacts import ArtifactError
+
+
+@pytest.fixture
+def root(tmp_path):
+    """A data folder with a victim, a defence and a record."""
+    artifacts.save_victim("hopper", "td3", make_victim(seed=3), dict(step=7), tmp_path)
+    artifacts.save_model("hopper", "td3", "detector-diverse", make_gruvae(), dict(threshold=1.5), tmp_path)
+    denoiser = make_gruvae(residual=True)
+    artifacts.save_model("hopper", "td3", "denoiser-residual", denoiser, dict(data="diverse"), tmp_path)
+    artifacts.write_json(tmp_path / "results" / "cell.json", dict(mean=1.5), tmp_path)
+    return tmp_path
+
+
+def test_what_was_saved_is_what_is_loaded(root):
+    obs = normal(5, 11)
+    victim = artifacts.load_victim("hopper", "td3", root)
+    assert torch.equal(victim(obs), make_victim(seed=3)(obs)) and torch.equal(
+        victim.value(obs), make_victim(seed=3).value(obs)
+    )
+    model, sidecar = artifacts.load_model("hopper", "td3", "denoiser-residual", root)
+    assert torch.equal(model(obs[None]).output, make_gruvae(residual=True)(obs[None]).output)
+    assert sidecar["data"] == "diverse" and sidecar["versions"]["torch"].startswith(torch.__version__.split("+")[0])
+    defense = artifacts.load_defense("hopper", "td3", "residual", root)
+    assert defense.detector.threshold == 1.5 and defense.denoiser.model.config["residual"]
+    assert artifacts.load_record("cell", root) == dict(mean=1.5)
+
+
+@pytest.mark.parametrize("gaussian", [False, True])
+def test_both_kinds_of_victims_go_to_disk_and_back(tmp_path, gaussian):
+    victim, obs = make_victim(gaussian=gaussian), normal(5, 11)
+    artifacts.save_victim("hopper", "any", victim, {}, tmp_path)
+    again = artifacts.load_victim("hopper", "any", tmp_path)
+    assert torch.equal(again(obs), victim(obs)) and (again.action_std is None) == (not gaussian)
+
+
+def truncate(path):
+    path.write_bytes(path.read_bytes()[:-10])
+
+
+def alter(path):
+    content = bytearray(path.read_bytes())
+    content[-10] ^= 1
+    path.write_bytes(content)
+
+
+class Bomb:
+    def __reduce__(self):
+        return os._exit, (1,)  # what a pickle may do to whoever opens it
+
+
+def replace_by_pickle(path):
+    path.write_bytes(pickle.dumps(Bomb()))
+
+
+@pytest.mark.parametrize("harm", [truncate, alter, replace_by_pickle, os.remove])
+@pytest.mark.parametrize("name", ["victim.safetensors", "victim.json"])
+def test_a_harmed_file_is_refused_by_name(root, harm, name):
+    harm(root / "hopper-td3" / name)
+    with pytest.raises(ArtifactError, match=name):
+        artifacts.load_victim("hopper", "td3", root)
+
+
+@pytest.mark.parametrize("harm", [truncate, alter, os.remove])
+def test_a_harmed_record_is_refused_by_name(root, harm):
+    harm(root / "results" / "cell.json")
+    with pytest.raises(ArtifactError, match="cell.json"):
+        artifacts.load_record("cell", root)
+
+
+@pytest.mark.parametrize("harm", [truncate, os.remove])
+def test_without_a_whole_manifest_nothing_is_trusted(root, harm):
+    harm(root / "manifest.json")
+    with pytest.raises(ArtifactError, match="manifest.json"):
+        artifacts.load_victim("hopper", "td3", root)
+
+
+def test_a_pickle_is_not_opened_even_where_the_manifest_has_it(root):
+    artifacts.write_bytes(root / "hopper-td3" / "victim.safetensors", pickle.dumps(Bomb()), root)
+    with pytest.raises(ArtifactError, match="victim.safetensors.*safetensors format"):
+        artifacts.load_victim("hopper", "td3", root)
+    artifacts.write_bytes(root / "victim.pkl", pickle.dumps(Bomb()), root)
+    with pytest.raises(ArtifactError, match="victim.pkl.*never pickles"):
+        artifacts.load_tensors(root / "victim.pkl", root)
+
+
+def test_a_stranger_is_refused(root):
+    (root / "results" / "foreign.json").write_text("{}")
+    with pytest.raises(ArtifactError, match="foreign.json is not in .*manifest.json"):
+        artifacts.load_record("foreign", root)
+
+
+def test_weights_that_do_not_fit_their_sidecar_are_refused(root):
+    folder = root / "hopper-td3"
+    for broken in (dict(config=dict(actor=[11, 9, 3])), dict(config=dict(color="red")), {}):
+        artifacts.write_json(folder / "victim.json", broken, root)
+        with pytest.raises(ArtifactError, match="victim.safetensors does not fit its sidecar"):
+            artifacts.load_victim("hopper", "td3", root)
+
+
+def test_numbers_that_json_does_not_know_are_refused(root):
+    with pytest.raises(ValueError):
+        artifacts.write_json(root / "results" / "cell.json", dict(mean=float("nan")), root)
+    assert artifacts.load_record("cell", root) == dict(mean=1.5)
+
+
+def test_made_is_what_is_there_with_its_sidecar_as_the_manifest_has_it(root):
+    victim, record = root / "hopper-td3" / "victim.safetensors", root / "results" / "cell.json"
+    assert artifacts.is_made(victim, root) and artifacts.is_made(record, root)
+    victim.with_suffix(".json").unlink()
+    truncate(record)
+    assert not artifacts.is_made(victim, root) and not artifacts.is_made(record, root)
+    assert not artifacts.is_made(root / "results" / "other.json", root)
+
+
+KILLED_WRITE = """
+import os, pathlib, signal, sys
+from detden_lite import artifacts
+
+def write_half(self, content):
+    with open(self, "wb") as file:
+        file.write(content[: len(content) // 2])
+        file.flush()
+        os.kill(os.getpid(), signal.SIGKILL)
+
+pathlib.Path.write_bytes = write_half
+root = pathlib.Path(sys.argv[1])
+artifacts.write_bytes(root / "results" / "cell.json", b"new" * 1000, root)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
+def test_a_kill_in_the_middle_of_a_write_leaves_the_old_file(root):
+    """The process dies with half of the new content written."""
+    killed = subprocess.run([sys.executable, "-c", KILLED_WRITE, str(root)])
+    assert killed.returncode == -9
+    assert artifacts.load_record("cell", root) == dict(mean=1.5)
+    artifacts.write_json(root / "results" / "cell.json", dict(mean=2.5), root)
+    assert artifacts.load_record("cell", root) == dict(mean=2.5)
+
+
+def test_writers_side_by_side_all_stand_in_the_manifest(tmp_path):
+    def write(i):
+        artifacts.write_json(tmp_path / f"{i}.json", dict(i=i), tmp_path)
+
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(write, range(100)))
+    assert set(json.loads((tmp_path / "manifest.json").read_text())) == {f"{i}.json" for i in range(100)}
