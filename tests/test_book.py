@@ -1,13 +1,12 @@
-"""The built book in a real browser: closed, typeset, legible on a phone and in the dark, searchable, and its widgets move."""
+"""The built book in a real browser: closed, typeset, legible on a phone and in the dark; search and widgets work."""
+
+import re
 
 import pytest
-from conftest import HTML, SCREENSHOTS
+from conftest import HTML, ROOT, SCREENSHOTS
 
-PAGES = sorted(
-    path.relative_to(HTML).as_posix()
-    for path in HTML.glob("**/*.html")
-    if "/_" not in f"/{path.relative_to(HTML).as_posix()}"
-)
+PAGES = sorted(path.relative_to(HTML).as_posix() for path in HTML.glob("**/*.html"))
+PAGES = [page for page in PAGES if "/_" not in f"/{page}"]  # such folders hold no pages: static files, the viewer
 CHAPTERS = [page for page in PAGES if page.startswith("chapters/")]
 
 # The WCAG contrast of every piece of text with what lies behind it: [[contrast, text], ...], the worst first.
@@ -61,7 +60,16 @@ def page(visited):
 
 
 def _paint(page, theme: str) -> None:
-    page.evaluate("theme => document.documentElement.dataset.theme = theme", theme)
+    """Turn the page light or dark, and wait until colours that change slowly have arrived."""
+    page.evaluate(
+        """async theme => {
+          document.documentElement.dataset.theme = theme;
+          await new Promise(requestAnimationFrame);
+          const changing = document.getAnimations().filter(animation => animation instanceof CSSTransition);
+          await Promise.allSettled(changing.map(animation => animation.finished));
+        }""",
+        theme,
+    )
 
 
 def _photograph(page, path: str, kind: str) -> None:
@@ -84,12 +92,10 @@ def test_mathematics_is_typeset(page):
 
 
 def test_images_are_there_and_described(page):
-    images = page.eval_on_selector_all(
-        "img",
-        "all => all.map(i => [i.src.slice(-80), i.alt.trim(), i.getAttribute('src'), i.complete && i.naturalWidth > 0])",
-    )
-    # docutils writes the address where it has no description
-    assert [source for source, alt, address, loaded in images if not loaded or not alt or alt == address] == []
+    """Where there is no description, docutils writes the image's address in its place."""
+    attributes = "i => [i.getAttribute('src').slice(0, 80), i.alt.trim().slice(0, 80), i.complete && !!i.naturalWidth]"
+    images = page.eval_on_selector_all("img", f"all => all.map({attributes})")
+    assert [source for source, alt, loaded in images if not loaded or alt in ("", source)] == []
 
 
 def test_fits_a_phone(page, path):
@@ -119,16 +125,27 @@ def test_solutions_are_folded_below_their_stubs(page, path):
         assert code.is_visible()
 
 
-def test_widgets_move_without_a_kernel(page, visited):
-    """The first slider of each widget, moved by one step, brings other pictures."""
+def test_numbers_are_those_of_the_notebooks(page, path):
+    """Figures and equations are called in the student's notebook what they are called in the book."""
+    if path not in CHAPTERS:
+        pytest.skip("has no notebook")
+    notebook = (ROOT / "notebooks" / f"{path.removeprefix('chapters/').removesuffix('.html')}.ipynb").read_text("utf-8")
+    shown = [text.strip() for text in page.locator(".caption-number").all_inner_texts()]
+    assert re.findall(r"\*\*(Figure \d+\.\d+)\.\*\*", notebook) == shown
+    equations = [text.strip("()# \n\u00b6") for text in page.locator(".eqno").all_inner_texts()]
+    assert re.findall(r"tag\{(\d+\.\d+)\}", notebook) == equations
+
+
+def test_widgets_move_without_a_kernel(page, visited, path):
+    """Every chapter has a widget; the first slider of each, moved by one step, brings other pictures."""
+    assert page.locator(".widget-subarea").count() >= (path in CHAPTERS)
     pictures = "widget => [...widget.querySelectorAll('img')].map(image => image.alt + image.src).join()"
     for widget in page.locator(".widget-subarea").all():
         before = widget.evaluate(pictures)
         assert before, "a widget shows no picture: see AUTHORING.md"
         widget.locator(".noUi-handle").first.press("ArrowRight")
-        page.wait_for_function(
-            f"([widget, before]) => ({pictures})(widget) !== before", arg=[widget.element_handle(), before]
-        )
+        moved = f"([widget, before]) => ({pictures})(widget) !== before"
+        page.wait_for_function(moved, arg=[widget.element_handle(), before])
     assert visited.problems == []
 
 

@@ -163,7 +163,7 @@ def _directive(block: Directive, labels: Labels) -> list[str]:
         return [f"```{block.argument}", *body, "```"]
     if name == "raw":
         return []
-    raise ValueError(f"the directive {{{name}}} has no plain form for the notebooks: see AUTHORING.md for those that have")
+    raise ValueError(f"the directive {{{name}}} has no plain form for notebooks: AUTHORING.md lists those that do")
 
 
 def _role(name: str, argument: str, labels: Labels) -> str:

@@ -1,1 +1,1 @@
-"""What exercises are checked with, one module a chapter: a ``check_*`` raises an AssertionError that says what differs."""
+"""The checks of exercises, one module a chapter: a ``check_*`` raises an AssertionError that says what differs."""
