@@ -15,7 +15,10 @@ from detden_lite.tasks import Task
 from detden_lite.victims import Victim
 
 # Where the seeds of episodes begin, by what they are for: what is tuned on is never reported.
-SEEDS = dict(normal=1_000_000, calibration=2_000_000, screening=3_000_000, selection=4_000_000, tuning=5_000_000, report=8_000_000)
+SEEDS = dict(
+    normal=1_000_000, calibration=2_000_000, screening=3_000_000, selection=4_000_000, tuning=5_000_000,
+    report=8_000_000,
+)  # fmt: skip
 
 
 def seeds(purpose: str, n: int) -> range:
@@ -80,8 +83,9 @@ class Threat:
 
 
 def run_cell(
-    cell: Cell, task: Task, victim: Victim, threat: Threat, defense, episode_seeds, steps: int | None = None, progress=None
-) -> tuple[dict, Episodes]:
+    cell: Cell, task: Task, victim: Victim, threat: Threat, defense, episode_seeds, steps: int | None = None,
+    progress: str | None = None,
+) -> tuple[dict, Episodes]:  # fmt: skip
     """Run a cell. Returns its record, ready for JSON, and the episodes.
 
     Args:
@@ -96,13 +100,14 @@ def run_cell(
     """
     if (defense is None) != (cell.defense == "none"):
         raise ValueError(f"defense: the cell says {cell.defense!r}, so give {'None' if defense is not None else 'one'}")
+    attack, timing = threat.attack(cell.attack, victim), threat.timing(cell.timing, victim)
     start = time.perf_counter()
     episodes = rollout(
-        victim, task, episode_seeds,
-        attack=threat.attack(cell.attack, victim), timing=threat.timing(cell.timing, victim),
-        defense=defense, steps=steps, progress=progress,
-    )  # fmt: skip
-    settings = dict(epsilon=threat.budget.epsilon, norm=str(threat.budget.norm), steps=threat.steps, restarts=threat.restarts)
+        victim, task, episode_seeds, attack=attack, timing=timing, defense=defense, steps=steps, progress=progress
+    )
+    settings = dict(epsilon=threat.budget.epsilon, norm=str(threat.budget.norm))
+    if isinstance(attack, OppositeAttack):
+        settings |= dict(steps=attack.steps, restarts=attack.restarts)
     if cell.timing == "vulnerable":
         settings["c_vul"] = threat.c_vul
     if cell.timing == "random":

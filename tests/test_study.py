@@ -1,0 +1,92 @@
+import json
+from itertools import combinations
+
+import numpy as np
+import pytest
+from builders import BUDGET, HOPPER, make_defense, make_victim
+
+from detden_lite.attacks import OppositeAttack, Vulnerable
+from detden_lite.rollout import rollout
+from detden_lite.study import SEEDS, Cell, Threat, run_cell, seeds, tune_vulnerable
+
+THREAT = Threat(BUDGET, steps=3, restarts=2, c_vul=0.1, rate=0.5)
+
+
+@pytest.fixture(scope="module")
+def victim():
+    return make_victim(seed=8)
+
+
+def run(victim, cell, defense=None, n=4):
+    return run_cell(cell, HOPPER, victim, THREAT, defense, seeds("report", n), steps=26)
+
+
+def test_a_record_says_what_was_done_and_what_came_of_it(victim):
+    cell = Cell("opposite", "random", "mine")
+    record, episodes = run(victim, cell, make_defense())
+    assert json.loads(json.dumps(record, allow_nan=False)) == record
+    assert record["cell"] == dict(attack="opposite", timing="random", defense="mine") and record["task"] == "hopper"
+    expected = dict(epsilon=0.075, norm="inf", steps=3, restarts=2, rate=0.5, c_anomaly=1.5)
+    assert record["settings"] == expected
+    assert record["seeds"] == [SEEDS["report"], 4] and episodes.seeds.tolist() == list(seeds("report", 4))
+    assert record["returns"] == episodes.returns.tolist()
+    assert 0 < record["attack_rate"] < 1
+    assert cell.record_name("hopper", "td3") == "hopper-td3.opposite.random.mine"
+
+
+@pytest.mark.parametrize(("attack", "steps"), [("none", None), ("uniform", None), ("fgsm", 1), ("opposite", 3)])
+def test_the_settings_are_those_of_the_attack_that_was_made(victim, attack, steps):
+    assert run(victim, Cell(attack))[0]["settings"].get("steps") == steps
+
+
+def test_the_same_cell_gives_the_same_record(victim):
+    cell = Cell("opposite", "vulnerable", "mine")
+    first, second = (run(victim, cell, make_defense())[0] for _ in range(2))
+    assert first.pop("seconds") > 0 and second.pop("seconds") > 0
+    assert first == second
+    assert first["settings"]["c_vul"] == 0.1
+
+
+@pytest.mark.parametrize("attack", ["none", "uniform", "gaussian", "fgsm", "opposite"])
+def test_every_attack_of_the_tables_can_be_run(victim, attack):
+    record, episodes = run(victim, Cell(attack))
+    assert record["attack_rate"] == (attack != "none")
+    assert (episodes.perturbed != episodes.obs).any() == (attack != "none")
+
+
+def test_names_that_do_not_exist_are_refused(victim):
+    with pytest.raises(ValueError, match="attack must be none, uniform"):
+        run(victim, Cell("magic"))
+    with pytest.raises(ValueError, match="timing must be always"):
+        run(victim, Cell("uniform", "never"))
+
+
+def test_cell_and_defence_must_agree(victim):
+    with pytest.raises(ValueError, match="defense.*give None"):
+        run(victim, Cell(), make_defense())
+    with pytest.raises(ValueError, match="defense.*give one"):
+        run(victim, Cell(defense="mine"))
+
+
+def test_no_episode_serves_two_purposes():
+    """Not even with as many as the paper's 20,000 trajectories."""
+    for one, other in combinations(SEEDS, 2):
+        assert not set(seeds(one, 20_000)) & set(seeds(other, 20_000))
+
+
+def test_the_vulnerable_timing_is_tuned_to_keep_most_of_the_damage(victim):
+    found = tune_vulnerable(HOPPER, victim, THREAT, n=6, keep=0.5, steps=26)
+    sweep = found["sweep"]
+    thresholds = [row["c_vul"] for row in sweep]
+    assert thresholds == sorted(thresholds) and len(set(thresholds)) == len(sweep)
+    damage = found["clean_return"] - found["always_return"]
+    enough = [row["c_vul"] for row in sweep if found["clean_return"] - row["mean_return"] >= 0.5 * damage]
+    assert found["c_vul"] == (min(enough) if enough else max(thresholds))
+    # What the sweep says of the chosen threshold is what the tuning episodes do with it.
+    timing = Vulnerable(victim, found["c_vul"])
+    attack = OppositeAttack(victim, BUDGET, steps=3, restarts=2)
+    episodes = rollout(victim, HOPPER, seeds("tuning", 6), attack=attack, timing=timing, steps=26)
+    row = next(row for row in sweep if row["c_vul"] == found["c_vul"])
+    assert episodes.returns.mean() == pytest.approx(row["mean_return"])
+    attacks = (episodes.attacked & episodes.mask).sum(0)
+    assert np.mean(attacks) == row["attacks"] and found["attack_rate"] == attacks.sum() / episodes.mask.sum()
