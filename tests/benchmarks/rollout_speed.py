@@ -1,10 +1,14 @@
 """Environment steps a second on one thread: episodes in lockstep against one at a time, with the same networks.
 
-Clean, and under PGD-20 with the defence; then where the time goes. Run by ``make bench``.
+Clean, and under PGD-20 with the defence; then where the time goes and what bounds it. Run by ``make bench``. All times
+are CPU times, so that other programs on the machine disturb less; what is compared is measured in turns.
 """
 
-import time
+from collections.abc import Callable
+from time import process_time
 
+import gymnasium
+import mujoco
 import numpy as np
 import torch
 
@@ -16,44 +20,88 @@ from detden_lite.simulator import Simulator
 from detden_lite.tasks import get_task
 
 torch.set_num_threads(1)
-TASK, N = get_task("hopper"), 128
+TASK, STEPS, N = get_task("hopper"), 200, 128
 VICTIM = artifacts.load_victim("hopper", "td3")
 DEFENSE = artifacts.load_defense("hopper", "td3")
 ATTACK = OppositeAttack(VICTIM, Budget(TASK.epsilon), steps=20)
+ROUNDS = 3
 
 
-def speed(n: int, **parts) -> float:
-    """Steps a second of n episodes in lockstep, whole ones; a single episode is cut short, to end in time."""
-    start = time.perf_counter()
-    episodes = rollout(VICTIM, TASK, range(n), steps=TASK.horizon if n > 1 else 300, **parts)
-    return episodes.lengths.sum() / (time.perf_counter() - start)
+def lockstep(attack=None, defense=None) -> float:
+    """Steps a second of N episodes with one call of each network a step."""
+    start = process_time()
+    episodes = rollout(VICTIM, TASK, range(N), attack=attack, defense=defense, steps=STEPS)
+    return episodes.lengths.sum() / (process_time() - start)
 
 
-def shares() -> dict[str, float]:
-    """Seconds of one step of N episodes, by what they are spent on."""
+@torch.no_grad()
+def one_at_a_time(attack=None, defense=None) -> float:
+    """Steps a second of one episode, in the loop that everybody writes first."""
+    env = gymnasium.make(TASK.env_id)
+    start = process_time()
+    obs, _ = env.reset(seed=0)
+    for part in (attack, defense):
+        if part is not None:
+            part.reset([0])
+    for step in range(STEPS):  # noqa: B007
+        seen = torch.tensor(obs[None], dtype=torch.float32)
+        if attack is not None:
+            seen = attack(seen)
+        if defense is not None:
+            seen = defense(seen).obs
+        obs, _, terminated, _, _ = env.step(VICTIM(seen)[0].numpy())
+        if terminated:
+            break
+    return (step + 1) / (process_time() - start)
+
+
+def median(work: Callable[[], object], repetitions: int = 15) -> float:
+    """Seconds of one call."""
+    times = []
+    for _ in range(repetitions):
+        start = process_time()
+        work()
+        times.append(process_time() - start)
+    return float(np.median(times))
+
+
+def where_the_time_goes() -> None:
+    """One step of N attacked and defended episodes, and the least that its two large parts can take."""
     simulator = Simulator(TASK.env_id, range(N))
     obs = torch.from_numpy(simulator.reset())
-    ATTACK.reset(range(N))
-    DEFENSE.reset(range(N))
+    for part in (ATTACK, DEFENSE):
+        part.reset(range(N))
     action = VICTIM(obs).numpy()
-    works = dict(physics=lambda: simulator.step(action), attack=lambda: ATTACK(obs), defence=lambda: DEFENSE(obs))
-    seconds = {}
-    for name, work in works.items():
-        times = []
-        for _ in range(10):
-            start = time.perf_counter()
-            work()
-            times.append(time.perf_counter() - start)
-        seconds[name] = float(np.median(times))
-    return seconds
+    worlds = [(env.model, env.data, env.frame_skip) for env in simulator.envs]
+    weights = [layer.weight for layer in VICTIM.actor if isinstance(layer, torch.nn.Linear)]
+    hidden = [torch.randn(N, weight.shape[1]) for weight in weights]
+    errors = [torch.randn(N, weight.shape[0]) for weight in weights]
+
+    def bare_physics() -> None:
+        for model, data, frame_skip in worlds:
+            mujoco.mj_step(model, data, nstep=frame_skip)
+
+    def bare_products() -> None:
+        """The matrix products of one gradient step, there and back."""
+        for h, e, weight in zip(hidden, errors, weights, strict=True):
+            h @ weight.T, e @ weight  # noqa: B018
+
+    attack, defense = median(lambda: ATTACK(obs)), median(lambda: DEFENSE(obs))
+    physics = median(lambda: simulator.step(action))
+    simulator.reset()
+    bounds = dict(physics=median(bare_physics), attack=ATTACK.steps * median(bare_products, 100))
+    total = physics + attack + defense
+    print(f"a step of {N}: physics {physics / total:.0%}, attack {attack / total:.0%}, defence {defense / total:.0%}")
+    print(
+        f"bounds: MuJoCo alone takes {bounds['physics'] / physics:.0%} of the physics, and the actor's matrix products "
+        f"{bounds['attack'] / attack:.0%} of the attack; with nothing else, {N / sum(bounds.values()):,.0f} steps/s"
+    )
 
 
 if __name__ == "__main__":
     for title, parts in (("clean", {}), ("PGD-20 + defence", dict(attack=ATTACK, defense=DEFENSE))):
-        rounds = [(speed(N, **parts), speed(1, **parts)) for _ in range(2)]  # interleaved
+        rounds = np.array([(lockstep(**parts), one_at_a_time(**parts)) for _ in range(ROUNDS)])
         together, alone = np.median(rounds, axis=0)
-        ratio = f"{together / alone:.1f} times"
-        print(f"{title:<17} {together:7,.0f} steps/s at N = {N}, {alone:6,.0f} one at a time: {ratio}")
-    parts = shares()
-    total = sum(parts.values())
-    print("one defended step: " + ", ".join(f"{name} {s / total:.0%}" for name, s in parts.items()))
+        ratio = np.median(rounds[:, 0] / rounds[:, 1])
+        print(f"{title:<17}{together:8,.0f} steps/s at N = {N},{alone:7,.0f} one at a time: {ratio:.1f} times as fast")
+    where_the_time_goes()
