@@ -15,6 +15,9 @@ from detden_lite.artifacts import replace_file
 from detden_lite.tasks import Task
 from detden_lite.victims import Victim
 
+# One thread: XLA's own threads would fight with the other runs on the machine for nothing.
+XLA_FLAGS = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+
 
 @dataclass(frozen=True)
 class TD3Recipe:
@@ -48,8 +51,7 @@ def train_td3(task: Task, recipe: TD3Recipe, seed: int, folder: Path) -> list[Pa
     Raises:
         ValueError: if ``folder`` holds a run of another recipe.
     """
-    # One thread: XLA's own threads would fight with the other runs on the machine for nothing.
-    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
+    os.environ.setdefault("XLA_FLAGS", XLA_FLAGS)
     from sbx import TD3
     from stable_baselines3.common.noise import NormalActionNoise
 

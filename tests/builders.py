@@ -1,5 +1,7 @@
 """Small real things to test with: random networks of the right shapes, real environments, nothing trained."""
 
+import os
+
 import torch
 from hypothesis import settings
 from torch import Tensor
@@ -7,7 +9,11 @@ from torch import Tensor
 from detden_lite.budget import Budget
 from detden_lite.defense import GRUVAE, Denoiser, DetectAndDenoise, Detector
 from detden_lite.tasks import Task, get_task
+from detden_lite.victim_training import XLA_FLAGS
 from detden_lite.victims import Victim
+
+# XLA reads this when it is first used, by whichever test: all are to compute as a training does.
+os.environ.setdefault("XLA_FLAGS", XLA_FLAGS)
 
 HOPPER = get_task("hopper")
 BUDGET = Budget(HOPPER.epsilon)
