@@ -79,6 +79,13 @@ def test_one_step_without_a_random_start_is_the_fast_gradient_sign():
     assert torch.allclose(found, torch.tensor([[0.1, -0.1, 0.1]]))
 
 
+def test_one_step_from_a_random_start_is_no_longer_than_epsilon():
+    weights, obs, budget = normal(5, 6), normal(5, 6, seed=1), Budget(0.3)
+    start = budget.sample(obs, Draws(0))
+    found = ascend(lambda x: (x * weights).sum(-1), obs, budget, Draws(0), steps=1)
+    assert torch.allclose(found, budget.project(obs, start + 0.3 * weights.sign()), atol=1e-6)
+
+
 def test_rows_do_not_disturb_each_other():
     """Every row's own random numbers, its own gradient, its own best point."""
     victim, obs = make_victim(), normal(4, 11)

@@ -94,11 +94,20 @@ def test_the_gradient_attack_is_stronger_than_noise():
     assert max(uniform, gaussian) < fgsm < pgd
 
 
+def test_restarts_make_the_opposite_attack_stronger():
+    victim, obs = make_victim(hidden=64), normal(100, 11)
+    objective = opposite_objective(victim, obs)
+    once, often = (objective(attack_once(OppositeAttack(victim, BUDGET, 5, restarts), obs)) for restarts in (1, 5))
+    assert (often >= once).all() and (often > once).any()
+
+
 def test_gaussian_noise_is_as_wide_as_the_ball():
     perturbed = attack_once(GaussianNoise(Budget(1.0)), torch.zeros(20_000, 1), [0])
     inside = perturbed[perturbed.abs() < 1]
     assert abs(len(inside) / len(perturbed) - 0.683) < 0.02  # the rest was projected on the border
     assert abs(float((inside.abs() < 0.5).double().mean()) - 0.561) < 0.02
+    scaled = attack_once(GaussianNoise(Budget(1.0, scale=torch.tensor([0.1, 10.0]))), torch.zeros(20_000, 2), [0])
+    assert scaled.std(0)[1] / scaled.std(0)[0] == pytest.approx(100, rel=0.05)
 
 
 @pytest.mark.parametrize("kind", [UniformNoise, GaussianNoise, opposite])

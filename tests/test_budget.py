@@ -111,6 +111,11 @@ def test_samples_are_uniform_in_the_ball(norm):
     ordered = (budget.size(origin, points) / 2.0).sort().values.numpy()
     assert np.abs(ordered**dim - np.linspace(0, 1, n)).max() < 0.02  # Kolmogorov-Smirnov, p of about 1e-7
     assert (points > 0).double().mean(0).sub(0.5).abs().max() < 0.02
+    # Archimedes: each coordinate of a uniform point on the sphere is uniform itself; on the octahedron Beta(1, 2).
+    coordinate = (points / torch.linalg.vector_norm(points, ord=norm, dim=-1, keepdim=True))[:, 0].abs().double()
+    if norm != float("inf"):
+        cumulated = (coordinate if norm == 2 else 1 - (1 - coordinate) ** 2).sort().values.numpy()
+        assert np.abs(cumulated - np.linspace(0, 1, n)).max() < 0.012
     # In the l2 and l1 balls a smaller box is filled as densely as its volume says.
     volume = {float("inf"): 1.0, 2: np.pi / 6, 1: 1 / 6}[norm]  # of the unit ball, in units of its enclosing box
     small_box = (points.abs() < 2 / 3).all(-1).double().mean()  # inside every ball: its corner has an l1 norm of 2
