@@ -31,5 +31,5 @@ class Draws:
     def _rows(self, n: int, draw) -> Tensor:
         rows, rest = divmod(n, len(self.generators))
         if rest:
-            raise ValueError(f"{n} rows for {len(self.generators)} episodes: reset with as many episodes as there are rows")
+            raise ValueError(f"{n} rows for {len(self.generators)} episodes: reset with as many episodes as rows")
         return torch.from_numpy(np.concatenate([draw(g, rows) for g in self.generators]))

@@ -90,10 +90,8 @@ def select_victim(run: Run) -> None:
     rows, curves = [], []
     for folder in sorted((run.folder / "checkpoints").glob("victim-*")):
         recipe = json.loads((folder / "recipe.json").read_text())
-        net = [recipe["net"]] * 2
-        config = dict(
-            actor=[run.task.obs_dim, *net, run.task.action_dim], critic=[run.task.obs_dim + run.task.action_dim, *net, 1]
-        )
+        net, obs_dim, action_dim = [recipe["net"]] * 2, run.task.obs_dim, run.task.action_dim
+        config = dict(actor=[obs_dim, *net, action_dim], critic=[obs_dim + action_dim, *net, 1])
         for snapshot in tqdm(sorted((folder / "snapshots").glob("*.safetensors")), desc=folder.name, unit="snapshot"):
             mean = _returns(run, config, snapshot, study.seeds("screening", 5)).mean()
             rows.append(dict(recipe=recipe, step=int(snapshot.stem), mean=float(mean), path=snapshot, config=config))
@@ -132,7 +130,10 @@ def collect(run: Run, data: str) -> None:
     """D_normal, and held-out episodes, 1 for 8, for calibration: these as the defence will meet them, unexplored."""
     victim = run.victim()
     held_out = max(4, run.scale.trajectories // 8)
-    wanted = [(f"normal-{data}", "normal", run.scale.trajectories, DATASETS[data]), ("calibration", "calibration", held_out, (0.0,))]
+    wanted = [
+        (f"normal-{data}", "normal", run.scale.trajectories, DATASETS[data]),
+        ("calibration", "calibration", held_out, (0.0,)),
+    ]
     for folder, purpose, n, noise in wanted:
         for path, part in _shards(run, folder, n):
             if not artifacts.is_made(path, run.root):
@@ -187,7 +188,8 @@ def cells(variants=tuple(VARIANTS)) -> list[study.Cell]:
     found += [study.Cell(attack) for attack in ("uniform", "gaussian", "fgsm", "opposite")]
     found += [study.Cell("opposite", "vulnerable"), study.Cell("opposite", "random")]
     for name in variants:
-        found += [study.Cell(defense=name), study.Cell("opposite", "always", name), study.Cell("opposite", "vulnerable", name)]
+        found += [study.Cell(defense=name), study.Cell("opposite", "always", name)]
+        found += [study.Cell("opposite", "vulnerable", name)]
     return found
 
 

@@ -1,5 +1,5 @@
-"""The attacker's side. An attack has ``needs``, what it knows of the victim; ``reset(episodes)``, called with one seed an
-episode; and ``attack(obs, world) -> perturbed``, all ``[N, obs_dim]``."""
+"""The attacker's side. An attack has ``needs``, what it knows of the victim; ``reset(episodes)``, called with one seed
+an episode; and ``attack(obs, world) -> perturbed``, all ``[N, obs_dim]``."""
 
 from detden_lite.attacks.noise import GaussianNoise, UniformNoise
 from detden_lite.attacks.opposite import OppositeAttack

@@ -14,8 +14,8 @@ from detden_lite.victims import Victim
 def opposite_objective(victim: Victim, obs: Tensor) -> Callable[[Tensor], Tensor]:
     """l_op(o, .): how far the policy's action moves when it sees ``[N, obs_dim]`` perturbed instead of ``obs``.
 
-    For a deterministic policy this is the squared Euclidean distance of the actions, which has the same maximiser as the
-    paper's distance and a gradient everywhere; for a Gaussian one the squared Mahalanobis distance of the means.
+    For a deterministic policy this is the squared Euclidean distance of the actions, which has the same maximiser as
+    the paper's distance and a gradient everywhere; for a Gaussian one the squared Mahalanobis distance of the means.
     """
     with torch.no_grad():
         action = victim.mean(obs)

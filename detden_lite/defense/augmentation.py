@@ -78,13 +78,12 @@ def augment(normal: Trajectories, attack, batch: int = 8_192, seed: int = 0) -> 
     """
     online = attack.needs & {"simulator", "defense"}
     if online:
-        raise ValueError(f"attack: {type(attack).__name__} needs the {' and '.join(sorted(online))}: it is no offline attack")
+        needs = " and ".join(sorted(online))
+        raise ValueError(f"attack: {type(attack).__name__} needs the {needs}: it is no offline attack")
     mask = normal.mask
     flat = torch.from_numpy(normal.obs[mask])
     attack.reset([seed])
-    parts = [
-        attack(part) for part in tqdm(flat.split(batch), desc="attacking offline", unit="batch")
-    ]
+    parts = [attack(part) for part in tqdm(flat.split(batch), desc="attacking offline", unit="batch")]
     obs = np.zeros_like(normal.obs)
     obs[mask] = torch.cat(parts).numpy()
     return Trajectories(obs, normal.lengths)

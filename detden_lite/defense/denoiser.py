@@ -17,8 +17,8 @@ class Denoiser:
         model: the trained network.
         seed: of the latent samples.
         sample: whether to sample the latent, as the paper does, or to take its mean.
-        budget: if given, the output is projected into B(o_hat): the truth lies there if the attacker kept to the budget.
-            The paper does not do this (its released code does).
+        budget: if given, the output is projected into B(o_hat): the truth lies there if the attacker kept to the
+            budget. The paper does not do this (its released code does).
     """
 
     def __init__(self, model: GRUVAE, seed: int = 3, sample: bool = True, budget: Budget | None = None):

@@ -11,7 +11,7 @@ State = tuple[Tensor, Tensor]  # encoder_state h^o and decoder_state h^z, [layer
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """What a GRU-VAE says of a sequence; ``output`` in observation units, the rest of the latent Gaussian q(z | o, h)."""
+    """What a GRU-VAE says of a sequence: ``output`` in observation units, and the latent Gaussian q(z | o, h)."""
 
     output: Tensor  # [N, steps, obs_dim]
     mean: Tensor  # mu, [N, steps, latent_dim]

@@ -74,7 +74,8 @@ def train_gruvae(
     with tqdm(range(first, recipe.epochs), initial=first, total=recipe.epochs, desc=label, unit="epoch") as bar:
         for epoch in bar:
             torch.manual_seed(int(np.random.SeedSequence([seed, epoch]).generate_state(1)[0]))
-            optimizer.param_groups[0]["lr"] = recipe.learning_rate * 0.5 * (1 + math.cos(math.pi * epoch / recipe.epochs))
+            falling = (1 + math.cos(math.pi * epoch / recipe.epochs)) / 2
+            optimizer.param_groups[0]["lr"] = recipe.learning_rate * falling
             order = torch.randperm(len(index)).numpy()
             losses = [
                 _train_on(model, optimizer, recipe, pairs, index[order[i : i + recipe.batch]])
@@ -124,7 +125,7 @@ def _resume(path: Path, identity: str, model: GRUVAE, optimizer) -> int:
         return 0
     saved = torch.load(path, weights_only=True)
     if saved["identity"] != identity:
-        raise ValueError(f"{path} is a checkpoint of another recipe ({saved['identity']}); remove it or train elsewhere")
+        raise ValueError(f"{path} is a checkpoint of another recipe ({saved['identity']}); remove it or take another")
     model.load_state_dict(saved["model"])
     optimizer.load_state_dict(saved["optimizer"])
     return saved["epochs"]
