@@ -129,26 +129,30 @@ KILLED_WRITE = """
 import os, pathlib, signal, sys
 from detden_lite import artifacts
 
-def write_half(self, content):
+root, victim = pathlib.Path(sys.argv[1]), sys.argv[2]
+write_whole = pathlib.Path.write_bytes
+
+def write(self, content):
+    if self.name != victim:
+        return write_whole(self, content)
     with open(self, "wb") as file:
         file.write(content[: len(content) // 2])
         file.flush()
         os.kill(os.getpid(), signal.SIGKILL)
 
-pathlib.Path.write_bytes = write_half
-root = pathlib.Path(sys.argv[1])
-artifacts.write_bytes(root / "results" / "cell.json", b"new" * 1000, root)
+pathlib.Path.write_bytes = write
+artifacts.write_json(root / "results" / "cell.json", dict(mean=2.5, more="x" * 1000), root)
 """
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
-def test_a_kill_in_the_middle_of_a_write_leaves_the_old_file(root):
-    """The process dies with half of the new content written."""
-    killed = subprocess.run([sys.executable, "-c", KILLED_WRITE, str(root)])
-    assert killed.returncode == -9
-    assert artifacts.load_record("cell", root) == dict(mean=1.5)
-    artifacts.write_json(root / "results" / "cell.json", dict(mean=2.5), root)
-    assert artifacts.load_record("cell", root) == dict(mean=2.5)
+@pytest.mark.parametrize("name", ["cell.json.new", "cell.json"])
+def test_a_kill_in_the_middle_of_a_write_leaves_the_old_file(root, name):
+    """The process dies with half of the new content written; to the file itself it never writes."""
+    status = subprocess.run([sys.executable, "-c", KILLED_WRITE, str(root), name]).returncode
+    assert (status, artifacts.load_record("cell", root)["mean"]) == ((-9, 1.5) if name.endswith(".new") else (0, 2.5))
+    artifacts.write_json(root / "results" / "cell.json", dict(mean=3.5), root)
+    assert artifacts.load_record("cell", root) == dict(mean=3.5)
 
 
 def test_writers_side_by_side_all_stand_in_the_manifest(tmp_path):

@@ -74,14 +74,16 @@ def test_no_episode_serves_two_purposes():
         assert not set(seeds(one, 20_000)) & set(seeds(other, 20_000))
 
 
-def test_the_vulnerable_timing_is_tuned_to_keep_most_of_the_damage(victim):
-    found = tune_vulnerable(HOPPER, victim, THREAT, n=6, keep=0.5, steps=26)
+@pytest.mark.parametrize("keep", [-10, 0.5, 10])
+def test_the_vulnerable_timing_is_tuned_to_keep_most_of_the_damage(victim, keep):
+    found = tune_vulnerable(HOPPER, victim, THREAT, n=6, keep=keep, steps=26)
     sweep = found["sweep"]
     thresholds = [row["c_vul"] for row in sweep]
     assert thresholds == sorted(thresholds) and len(set(thresholds)) == len(sweep)
     damage = found["clean_return"] - found["always_return"]
-    enough = [row["c_vul"] for row in sweep if found["clean_return"] - row["mean_return"] >= 0.5 * damage]
+    enough = [row["c_vul"] for row in sweep if found["clean_return"] - row["mean_return"] >= keep * damage]
     assert found["c_vul"] == (min(enough) if enough else max(thresholds))
+    assert damage > 0 and len(enough) == {-10: 8, 10: 0}.get(keep, len(enough))
     # What the sweep says of the chosen threshold is what the tuning episodes do with it.
     timing = Vulnerable(victim, found["c_vul"])
     attack = OppositeAttack(victim, BUDGET, steps=3, restarts=2)
