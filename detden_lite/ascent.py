@@ -1,4 +1,4 @@
-"""Projected gradient ascent in the ball: FGSM in one step (Goodfellow et al., 2015), PGD in more (Madry et al., 2018)."""
+"""Projected gradient ascent in the ball: FGSM (Goodfellow et al., 2015) is one step, PGD (Madry et al., 2018) more."""
 
 from collections.abc import Callable
 
