@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 from detden_lite import stages
@@ -26,29 +27,31 @@ def parser() -> argparse.ArgumentParser:
     common.add_argument("--root", type=Path, help="folder of the run; default: runs/SCALE")
     stage = top.add_subparsers(dest="stage", required=True, metavar="STAGE")
 
-    def add(name: str, text: str) -> argparse.ArgumentParser:
-        return stage.add_parser(name, parents=[common], help=text, description=text)
+    def add(name: str, function: Callable, text: str) -> argparse.ArgumentParser:
+        added = stage.add_parser(name, parents=[common], help=text, description=text)
+        added.set_defaults(function=function)
+        return added
 
-    add("victim", "train one seed of the victim").add_argument("--seed", type=int, default=0)
-    add("select", "choose the best snapshot of all seeds, and evaluate it")
-    for name, text in (
-        ("collect", "collect D_normal, and held-out episodes for calibration"),
-        ("augment", "make D_adv from D_normal, offline"),
-        ("detector", "train the detector and calibrate its threshold"),
+    add("victim", stages.train_victim, "train one seed of the victim").add_argument("--seed", type=int, default=0)
+    add("select", stages.select_victim, "choose the best snapshot of all seeds, and evaluate it")
+    for name, function, text in (
+        ("collect", stages.collect, "collect D_normal, and held-out episodes for calibration"),
+        ("augment", stages.augment, "make D_adv from D_normal, offline"),
+        ("detector", stages.train_detector, "train the detector and calibrate its threshold"),
     ):
-        add(name, text).add_argument(
+        add(name, function, text).add_argument(
             "--data", choices=stages.DATASETS, default="diverse", help="exploration in D_normal; default: %(default)s"
         )
-    add("denoiser", "train a denoiser").add_argument(
+    add("denoiser", stages.train_denoiser, "train a denoiser").add_argument(
         "--variant", choices=stages.VARIANTS, default="residual", help="default: %(default)s"
     )
-    add("evaluate", "run every cell of the table").add_argument(
+    add("evaluate", stages.evaluate, "run every cell of the table").add_argument(
         "--variants", nargs="+", choices=stages.VARIANTS, default=["residual"], help="default: %(default)s"
     )
-    add("look", "record and film one episode clean, attacked and defended (needs a GL driver)").add_argument(
-        "--variant", choices=stages.VARIANTS, default="residual", help="default: %(default)s"
-    )
-    add("publish", "copy what is shipped into data/")
+    add(
+        "look", stages.look, "record and film an episode, attacked and not (needs a GL driver)"
+    ).add_argument("--variant", choices=stages.VARIANTS, default="residual", help="default: %(default)s")
+    add("publish", stages.publish, "copy what is shipped into data/")
     return top
 
 
@@ -62,27 +65,11 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def run_stage(args: argparse.Namespace) -> None:
-    """Run the stage that was parsed."""
-    run = stages.Run.of(args.root or Path("runs") / args.scale, args.task, args.algo, args.scale)
-    match args.stage:
-        case "victim":
-            stages.train_victim(run, args.seed)
-        case "select":
-            stages.select_victim(run)
-        case "collect":
-            stages.collect(run, args.data)
-        case "augment":
-            stages.augment(run, args.data)
-        case "detector":
-            stages.train_detector(run, args.data)
-        case "denoiser":
-            stages.train_denoiser(run, args.variant)
-        case "evaluate":
-            stages.evaluate(run, args.variants)
-        case "look":
-            stages.look(run, args.variant)
-        case "publish":
-            stages.publish(run)
+    """Run the stage that was parsed; the options that are its own are its function's arguments."""
+    options = vars(args).copy()
+    root, task, algo, scale, function = (options.pop(key) for key in ("root", "task", "algo", "scale", "function"))
+    del options["stage"]
+    function(stages.Run.of(root or Path("runs") / scale, task, algo, scale), **options)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,11 @@ import torch
 from torch import Tensor
 
 
+def derived_seed(*keys: int) -> int:
+    """A seed that belongs to these numbers: the same for the same, unrelated for others."""
+    return int(np.random.SeedSequence(keys).generate_state(1)[0])
+
+
 class Draws:
     """Random rows, each from the stream of its own episode.
 

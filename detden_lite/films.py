@@ -4,10 +4,7 @@ Rendering needs a GL driver; importing this module does not. Without a display s
 Python starts.
 """
 
-import os
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import imageio_ffmpeg
@@ -15,7 +12,7 @@ import mujoco
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from detden_lite.playback import COLOURS, GREY, Robot, Take, takes
+from detden_lite.playback import COLOURS, GREY, Robot, Take, replacing, takes
 from detden_lite.rollout import Episodes
 from detden_lite.tasks import Task
 
@@ -64,7 +61,7 @@ def film(
     size = (width * len(shots), width + CAPTION)
     # Faststart puts the index first, so that a browser can begin before it has everything.
     options = ["-crf", str(quality), "-preset", "veryslow", "-movflags", "+faststart", "-fflags", "+bitexact"]
-    with _Studio(robot, width) as studio, _atomic(path) as temporary:
+    with _Studio(robot, width) as studio, replacing(path) as temporary:
         writer = imageio_ffmpeg.write_frames(
             temporary, size, fps=fps, codec="libx264", quality=None, macro_block_size=2, output_params=options
         )
@@ -229,21 +226,8 @@ def _checked(path: str | Path, suffix: str, width: int) -> Path:
     return path
 
 
-@contextmanager
-def _atomic(path: Path) -> Iterator[str]:
-    """The name of a temporary file that becomes ``path`` if all goes well."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=path.suffix)
-    os.close(handle)
-    try:
-        yield temporary
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    finally:
-        Path(temporary).unlink(missing_ok=True)
-
-
 def _save(picture: Image.Image, path: Path) -> Path:
-    with _atomic(path) as temporary:
+    with replacing(path) as temporary:
         # 64 colours suffice for a scene with a handful of them, and halve the file.
         picture.quantize(64, dither=Image.Dither.NONE).save(temporary, optimize=True)
     return path

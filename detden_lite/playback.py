@@ -1,7 +1,11 @@
 """Episodes made ready to be looked at: one of each kind side by side, and the body that moved in them."""
 
-from collections.abc import Mapping
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 import gymnasium
 import mujoco
@@ -113,6 +117,19 @@ def takes(robot: Robot, episodes: Mapping[str, Episodes], index: int) -> list[Ta
     return [
         _take(robot, *item, index, colour, horizon) for item, colour in zip(episodes.items(), COLOURS, strict=False)
     ]
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[str]:
+    """The name of a temporary file that becomes ``path`` if all goes well."""
+    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=path.suffix)
+    os.close(handle)
+    try:
+        yield temporary
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    finally:
+        Path(temporary).unlink(missing_ok=True)
 
 
 def _take(robot: Robot, name: str, kind: Episodes, index: int, colour: tuple[int, int, int], horizon: int) -> Take:

@@ -13,8 +13,6 @@ Each take (clean, attacked, defended) has its own branch of entities:
 """
 
 import hashlib
-import os
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -22,7 +20,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from detden_lite.playback import COLOURS, GREY, Robot, Take, takes
+from detden_lite.playback import COLOURS, GREY, Robot, Take, replacing, takes
 from detden_lite.rollout import Episodes
 from detden_lite.tasks import Task
 
@@ -75,17 +73,12 @@ def record(
 
     stream = rr.RecordingStream(f"detden_lite_{task.name}", recording_id=_identity(task, shots), send_properties=False)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".rrd")
-    os.close(handle)
-    try:
+    with replacing(path) as temporary:
         stream.save(temporary, default_blueprint=_blueprint(robot, shots, dims))
         for shot in shots:
             _log_signals(stream, robot, shot, dims, threshold)
             _log_scene(stream, robot, shot, frame_rate)
         stream.disconnect()
-        os.replace(temporary, path)
-    finally:
-        Path(temporary).unlink(missing_ok=True)
     return path
 
 

@@ -1,79 +1,21 @@
 """The recipe's stages. Each makes the files of one folder that are missing, so that running it again resumes it."""
 
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 from safetensors.torch import load_file
 from tqdm import tqdm
 
 from detden_lite import artifacts, metrics, study
-from detden_lite.attacks import OppositeAttack
-from detden_lite.budget import Budget
 from detden_lite.defense import Detector, augmentation
-from detden_lite.defense.augmentation import Trajectories
 from detden_lite.defense.detector import calibrate, clean_scores
 from detden_lite.defense.training import train_gruvae
 from detden_lite.rollout import rollout
-from detden_lite.scales import Scale, get_scale
-from detden_lite.tasks import Task, get_task
+from detden_lite.runs import DATASETS, VARIANTS, Run, load_shard, load_trajectories, save_shard, shards
 from detden_lite.victim_training import train_td3
 from detden_lite.victims import Victim
-
-SHARD = 128  # trajectories of one file: what a killed run loses at most
-
-
-@dataclass(frozen=True)
-class Variant:
-    """A defence as it is trained: the exploration in its D_normal, and whether its denoiser is residual."""
-
-    data: str
-    residual: bool
-
-
-DATASETS = {"plain": (0.0,), "diverse": (0.0, 0.1, 0.2, 0.3)}
-VARIANTS = {
-    "printed": Variant("plain", residual=False),
-    "diverse": Variant("diverse", residual=False),
-    "residual": Variant("diverse", residual=True),
-}
-
-
-@dataclass(frozen=True)
-class Run:
-    """A victim's folder of a run at one scale. ``root`` is laid out as data/ is, with a manifest of its own."""
-
-    root: Path
-    task: Task
-    algo: str
-    scale: Scale
-
-    @classmethod
-    def of(cls, root: Path, task: str, algo: str, scale: str) -> "Run":
-        """The run with these names; a ValueError for one that does not exist."""
-        if algo != "td3":
-            raise ValueError(f"unknown algorithm {algo!r}; choose one of: td3")
-        found = get_task(task)
-        return cls(Path(root), found, algo, get_scale(scale, found))
-
-    @property
-    def folder(self) -> Path:
-        return self.root / f"{self.task.name}-{self.algo}"
-
-    @property
-    def budget(self) -> Budget:
-        return Budget(self.task.epsilon)
-
-    def victim(self) -> Victim:
-        return artifacts.load_victim(self.task.name, self.algo, self.root)
-
-    def defense(self, variant: str):
-        return artifacts.load_defense(self.task.name, self.algo, variant, self.root)
-
-    def opposite(self, victim: Victim, seed: int = 0) -> OppositeAttack:
-        return OppositeAttack(victim, self.budget, steps=self.scale.attack_steps, seed=seed)
 
 
 def train_victim(run: Run, seed: int) -> None:
@@ -135,22 +77,22 @@ def collect(run: Run, data: str) -> None:
         ("calibration", "calibration", held_out, (0.0,)),
     ]
     for folder, purpose, n, noise in wanted:
-        for path, part in _shards(run, folder, n):
+        for path, part in shards(run, folder, n):
             if not artifacts.is_made(path, run.root):
                 shard = augmentation.collect_normal(
                     victim, run.task, study.seeds(purpose, n)[part], noise, steps=run.scale.horizon
                 )
-                _save_shard(run, path, shard)
+                save_shard(run, path, shard)
 
 
 def augment(run: Run, data: str) -> None:
     """D_adv: the opposite attack on every observation of D_normal."""
     victim = run.victim()
-    for index, (path, _) in enumerate(_shards(run, f"normal-{data}", run.scale.trajectories)):
+    for index, (path, _) in enumerate(shards(run, f"normal-{data}", run.scale.trajectories)):
         target = path.parent.with_name(f"adversarial-{data}") / path.name
         if not artifacts.is_made(target, run.root):
-            attacked = augmentation.augment(_load_shard(run, path), run.opposite(victim), seed=index)
-            _save_shard(run, target, attacked)
+            attacked = augmentation.augment(load_shard(run, path), run.opposite(victim), seed=index)
+            save_shard(run, target, attacked)
 
 
 def train_detector(run: Run, data: str, seed: int = 0) -> None:
@@ -168,18 +110,18 @@ def train_detector(run: Run, data: str, seed: int = 0) -> None:
     artifacts.save_model(run.task.name, run.algo, f"detector-{data}", model, sidecar, run.root)
 
 
-def train_denoiser(run: Run, name: str, seed: int = 0) -> None:
+def train_denoiser(run: Run, variant: str, seed: int = 0) -> None:
     """Train a variant's denoiser on D_normal and D_adv."""
-    variant = VARIANTS[name]
-    normal = load_trajectories(run, f"normal-{variant.data}")
-    adversarial = load_trajectories(run, f"adversarial-{variant.data}")
-    recipe = replace(run.scale.defense, residual=variant.residual)
+    data = VARIANTS[variant].data
+    normal = load_trajectories(run, f"normal-{data}")
+    adversarial = load_trajectories(run, f"adversarial-{data}")
+    recipe = replace(run.scale.defense, residual=VARIANTS[variant].residual)
     model = train_gruvae(
-        recipe, [(normal, normal), (adversarial, normal)], seed, run.folder / "checkpoints" / f"denoiser-{name}.ckpt",
-        label=f"{name} denoiser",
+        recipe, [(normal, normal), (adversarial, normal)], seed,
+        run.folder / "checkpoints" / f"denoiser-{variant}.ckpt", label=f"{variant} denoiser",
     )  # fmt: skip
-    sidecar = dict(data=variant.data, recipe=asdict(recipe), seed=seed, trajectories=len(normal))
-    artifacts.save_model(run.task.name, run.algo, f"denoiser-{name}", model, sidecar, run.root)
+    sidecar = dict(data=data, recipe=asdict(recipe), seed=seed, trajectories=len(normal))
+    artifacts.save_model(run.task.name, run.algo, f"denoiser-{variant}", model, sidecar, run.root)
 
 
 def cells(variants=tuple(VARIANTS)) -> list[study.Cell]:
@@ -246,30 +188,6 @@ def publish(run: Run, data: Path = artifacts.DATA) -> None:
     for folder in ("recordings", "films"):
         for path in sorted((run.root / folder).glob(f"{run.folder.name}-*")):
             artifacts.write_bytes(data / folder / path.name, path.read_bytes(), data)
-
-
-def load_trajectories(run: Run, folder: str) -> Trajectories:
-    """All shards of a folder of trajectories: "normal-DATA", "adversarial-DATA" or "calibration"."""
-    paths = sorted((run.folder / folder).glob("*.safetensors"))
-    if not paths:
-        stage = "augment" if folder.startswith("adversarial") else "collect"
-        raise ValueError(f"{run.folder / folder} is empty; run the {stage} stage first")
-    shards = [_load_shard(run, path) for path in paths]
-    return Trajectories(np.concatenate([s.obs for s in shards]), np.concatenate([s.lengths for s in shards]))
-
-
-def _shards(run: Run, folder: str, n: int) -> list[tuple[Path, slice]]:
-    return [(run.folder / folder / f"{i:05d}.safetensors", slice(i, min(i + SHARD, n))) for i in range(0, n, SHARD)]
-
-
-def _save_shard(run: Run, path: Path, shard: Trajectories) -> None:
-    state = dict(obs=torch.from_numpy(shard.obs), lengths=torch.from_numpy(shard.lengths))
-    artifacts.save_tensors(path, state, dict(task=run.task.name, episodes=len(shard)), run.root)
-
-
-def _load_shard(run: Run, path: Path) -> Trajectories:
-    state, _ = artifacts.load_tensors(path, run.root)
-    return Trajectories(state["obs"].numpy(), state["lengths"].numpy())
 
 
 def _quantiles(scores: np.ndarray) -> dict[str, float]:

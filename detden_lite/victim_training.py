@@ -12,6 +12,7 @@ from safetensors.torch import save
 from tqdm import tqdm
 
 from detden_lite.artifacts import replace_file
+from detden_lite.draws import derived_seed
 from detden_lite.tasks import Task
 from detden_lite.victims import Victim
 
@@ -88,7 +89,7 @@ def train_td3(task: Task, recipe: TD3Recipe, seed: int, folder: Path) -> list[Pa
     with tqdm(total=recipe.steps, initial=done * recipe.segment, desc=label, unit="step") as bar:
         for segment in range(done, segments):
             model.set_env(gymnasium.make(task.env_id))  # forgets the episode under way
-            model.set_random_seed(int(np.random.SeedSequence([seed, segment]).generate_state(1)[0]))
+            model.set_random_seed(derived_seed(seed, segment))
             model.learn(recipe.segment, reset_num_timesteps=False)
             steps = (segment + 1) * recipe.segment
             replace_file(snapshots / f"{steps:08d}.safetensors", save(Victim.from_sb3(model).state_dict()))

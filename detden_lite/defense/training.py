@@ -1,8 +1,8 @@
 """Training a GRU-VAE, as detector (input = target) or denoiser (input = attacked, target = true), by its ELBO."""
 
+import io
 import json
 import math
-import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -11,8 +11,10 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from detden_lite.artifacts import replace_file
 from detden_lite.defense.augmentation import Trajectories
 from detden_lite.defense.gruvae import GRUVAE, kl_divergence, reconstruction_loss
+from detden_lite.draws import derived_seed
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ def train_gruvae(
     index = np.concatenate([np.stack([np.full(len(t), p), np.arange(len(t))], 1) for p, (_, t) in enumerate(pairs)])
     with tqdm(range(first, recipe.epochs), initial=first, total=recipe.epochs, desc=label, unit="epoch") as bar:
         for epoch in bar:
-            torch.manual_seed(int(np.random.SeedSequence([seed, epoch]).generate_state(1)[0]))
+            torch.manual_seed(derived_seed(seed, epoch))
             falling = (1 + math.cos(math.pi * epoch / recipe.epochs)) / 2
             optimizer.param_groups[0]["lr"] = recipe.learning_rate * falling
             order = torch.randperm(len(index)).numpy()
@@ -115,9 +117,10 @@ def _train_on(model: GRUVAE, optimizer, recipe: VAERecipe, pairs, batch: np.ndar
 
 def _save(path: Path, identity: str, epochs: int, model: GRUVAE, optimizer) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    new = path.with_suffix(".new")
-    torch.save(dict(identity=identity, epochs=epochs, model=model.state_dict(), optimizer=optimizer.state_dict()), new)
-    os.replace(new, path)
+    content = dict(identity=identity, epochs=epochs, model=model.state_dict(), optimizer=optimizer.state_dict())
+    file = io.BytesIO()
+    torch.save(content, file)
+    replace_file(path, file.getvalue())
 
 
 def _resume(path: Path, identity: str, model: GRUVAE, optimizer) -> int:

@@ -1,0 +1,96 @@
+"""The folder of a run: which victim at which scale, and the trajectories that lie in it, in files of a batch each."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from detden_lite import artifacts
+from detden_lite.attacks import OppositeAttack
+from detden_lite.budget import Budget
+from detden_lite.defense import DetectAndDenoise
+from detden_lite.defense.augmentation import Trajectories
+from detden_lite.scales import Scale, get_scale
+from detden_lite.tasks import Task, get_task
+from detden_lite.victims import Victim
+
+SHARD = 128  # trajectories of one file: what a killed run loses at most
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A defence as it is trained: the exploration in its D_normal, and whether its denoiser is residual."""
+
+    data: str
+    residual: bool
+
+
+DATASETS = {"plain": (0.0,), "diverse": (0.0, 0.1, 0.2, 0.3)}
+VARIANTS = {
+    "printed": Variant("plain", residual=False),
+    "diverse": Variant("diverse", residual=False),
+    "residual": Variant("diverse", residual=True),
+}
+
+
+@dataclass(frozen=True)
+class Run:
+    """A victim's folder of a run at one scale. ``root`` is laid out as data/ is, with a manifest of its own."""
+
+    root: Path
+    task: Task
+    algo: str
+    scale: Scale
+
+    @classmethod
+    def of(cls, root: Path, task: str, algo: str, scale: str) -> "Run":
+        """The run with these names; a ValueError for one that does not exist."""
+        if algo != "td3":
+            raise ValueError(f"unknown algorithm {algo!r}; choose one of: td3")
+        found = get_task(task)
+        return cls(Path(root), found, algo, get_scale(scale, found))
+
+    @property
+    def folder(self) -> Path:
+        return self.root / f"{self.task.name}-{self.algo}"
+
+    @property
+    def budget(self) -> Budget:
+        return Budget(self.task.epsilon)
+
+    def victim(self) -> Victim:
+        return artifacts.load_victim(self.task.name, self.algo, self.root)
+
+    def defense(self, variant: str) -> DetectAndDenoise:
+        return artifacts.load_defense(self.task.name, self.algo, variant, self.root)
+
+    def opposite(self, victim: Victim) -> OppositeAttack:
+        return OppositeAttack(victim, self.budget, steps=self.scale.attack_steps)
+
+
+def load_trajectories(run: Run, folder: str) -> Trajectories:
+    """All shards of a folder of trajectories: "normal-DATA", "adversarial-DATA" or "calibration"."""
+    paths = sorted((run.folder / folder).glob("*.safetensors"))
+    if not paths:
+        stage = "augment" if folder.startswith("adversarial") else "collect"
+        raise ValueError(f"{run.folder / folder} is empty; run the {stage} stage first")
+    shards = [load_shard(run, path) for path in paths]
+    return Trajectories(np.concatenate([s.obs for s in shards]), np.concatenate([s.lengths for s in shards]))
+
+
+def shards(run: Run, folder: str, n: int) -> list[tuple[Path, slice]]:
+    """The files of a folder of n trajectories, each with the positions of its own among them."""
+    return [(run.folder / folder / f"{i:05d}.safetensors", slice(i, min(i + SHARD, n))) for i in range(0, n, SHARD)]
+
+
+def save_shard(run: Run, path: Path, shard: Trajectories) -> None:
+    """Write one file of trajectories."""
+    state = dict(obs=torch.from_numpy(shard.obs), lengths=torch.from_numpy(shard.lengths))
+    artifacts.save_tensors(path, state, dict(task=run.task.name, episodes=len(shard)), run.root)
+
+
+def load_shard(run: Run, path: Path) -> Trajectories:
+    """Read one file of trajectories."""
+    state, _ = artifacts.load_tensors(path, run.root)
+    return Trajectories(state["obs"].numpy(), state["lengths"].numpy())
