@@ -48,9 +48,9 @@ def parser() -> argparse.ArgumentParser:
     add("evaluate", stages.evaluate, "run every cell of the table").add_argument(
         "--variants", nargs="+", choices=stages.VARIANTS, default=["residual"], help="default: %(default)s"
     )
-    add(
-        "look", stages.look, "record and film an episode, attacked and not (needs a GL driver)"
-    ).add_argument("--variant", choices=stages.VARIANTS, default="residual", help="default: %(default)s")
+    add("look", stages.look, "record and film an episode, attacked and not (needs a GL driver)").add_argument(
+        "--variant", choices=stages.VARIANTS, default="residual", help="default: %(default)s"
+    )
     add("publish", stages.publish, "copy what is shipped into data/")
     return top
 
