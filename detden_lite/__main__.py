@@ -7,6 +7,7 @@ from pathlib import Path
 
 from detden_lite import stages
 from detden_lite.artifacts import ArtifactError
+from detden_lite.scales import ALGORITHMS, SCALES
 from detden_lite.tasks import TASKS
 
 
@@ -16,12 +17,15 @@ def parser() -> argparse.ArgumentParser:
         prog="python -m detden_lite",
         description="Train, attack and defend a victim, stage by stage. A stage makes what is missing: after an "
         "interruption, run it again and it goes on.",
+        formatter_class=lambda prog: argparse.HelpFormatter(prog, max_help_position=16),
     )
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--task", choices=TASKS, default="hopper", help="default: %(default)s")
-    common.add_argument("--algo", choices=["td3"], default="td3", help="the victim's algorithm; default: %(default)s")
     common.add_argument(
-        "--scale", choices=["tiny", "lite", "paper"], default="tiny",
+        "--algo", choices=ALGORITHMS, default="td3", help="the victim's algorithm; default: %(default)s"
+    )
+    common.add_argument(
+        "--scale", choices=SCALES, default="tiny",
         help="seconds for a try, hours for what is shipped, days for the paper's sizes; default: %(default)s",
     )  # fmt: skip
     common.add_argument("--root", type=Path, help="folder of the run; default: runs/SCALE")
@@ -34,6 +38,7 @@ def parser() -> argparse.ArgumentParser:
 
     add("victim", stages.train_victim, "train one seed of the victim").add_argument("--seed", type=int, default=0)
     add("select", stages.select_victim, "choose the best snapshot of all seeds, and evaluate it")
+    add("qfunction", stages.learn_q, "learn the Q-function that a PPO victim lacks")
     for name, function, text in (
         ("collect", stages.collect, "collect D_normal, and held-out episodes for calibration"),
         ("augment", stages.augment, "make D_adv from D_normal, offline"),
@@ -45,6 +50,7 @@ def parser() -> argparse.ArgumentParser:
     add("denoiser", stages.train_denoiser, "train a denoiser").add_argument(
         "--variant", choices=stages.VARIANTS, default="residual", help="default: %(default)s"
     )
+    add("adversary", stages.fit_adversary, "tune when the attacker strikes")
     add("evaluate", stages.evaluate, "run every cell of the table").add_argument(
         "--variants", nargs="+", choices=stages.VARIANTS, default=["residual"], help="default: %(default)s"
     )

@@ -105,8 +105,13 @@ def save_victim(task: str, algo: str, victim: Victim, sidecar: Mapping, root: Pa
 
 
 def load_victim(task: str, algo: str, root: Path = DATA) -> Victim:
-    """The shipped victim of a task ("hopper") and an algorithm ("td3")."""
-    return _build(Victim, root / f"{task}-{algo}" / "victim.safetensors", root)[0]
+    """The shipped victim of a task ("hopper") and an algorithm ("td3"), with its learned Q-function if it has one."""
+    folder = root / f"{task}-{algo}"
+    victim, _ = _build(Victim, folder / "victim.safetensors", root)
+    if not (folder / "critic.safetensors").exists():
+        return victim
+    state, sidecar = load_tensors(folder / "critic.safetensors", root)
+    return victim.with_critic(sidecar["critic"], state, sidecar["activation"])
 
 
 def save_model(task: str, algo: str, name: str, model: GRUVAE, sidecar: Mapping, root: Path = DATA) -> None:
@@ -162,5 +167,9 @@ def _manifest(root: Path) -> dict[str, str]:
 def replace_file(path: Path, content: bytes) -> None:
     """Write a file whole or not at all: a kill on the way leaves the old one."""
     new = path.with_name(path.name + ".new")
-    new.write_bytes(content)
-    os.replace(new, path)
+    try:
+        new.write_bytes(content)
+        os.replace(new, path)
+    except OSError as error:
+        new.unlink(missing_ok=True)
+        raise ArtifactError(f"{path} could not be written ({error.strerror}); free some space and run again") from None

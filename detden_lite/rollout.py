@@ -79,8 +79,8 @@ def rollout(
         attack: see ``detden_lite.attacks``; None for clean episodes.
         timing: when to attack; always by default.
         defense: see ``detden_lite.defense``; None for a bare policy.
-        action_noise: standard deviation of Gaussian noise on the actions, in units of half their range; a number, or
-            one for each episode ``[N]``.
+        action_noise: standard deviation of Gaussian noise on the actions, in units of half their range; a number, one
+            for each episode ``[N]``, or one for each of their actions ``[N, action_dim]``.
         steps: the longest an episode may be; the task's horizon by default.
         progress: text of a progress bar, None for no bar.
 
@@ -100,7 +100,8 @@ def rollout(
             part.reset(simulator.seeds)
     needs = attack.needs if attack is not None else frozenset()
     exploration = Draws(1, simulator.seeds)
-    noise_size = torch.as_tensor(action_noise, dtype=torch.float32).reshape(-1, 1)
+    noise_size = torch.as_tensor(action_noise, dtype=torch.float32)
+    noise_size = noise_size if noise_size.ndim == 2 else noise_size.reshape(-1, 1)
     half_range = (victim.action_high - victim.action_low) / 2
 
     nothing = torch.zeros(n, dtype=torch.bool)

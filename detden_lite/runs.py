@@ -46,10 +46,8 @@ class Run:
     @classmethod
     def of(cls, root: Path, task: str, algo: str, scale: str) -> "Run":
         """The run with these names; a ValueError for one that does not exist."""
-        if algo != "td3":
-            raise ValueError(f"unknown algorithm {algo!r}; choose one of: td3")
         found = get_task(task)
-        return cls(Path(root), found, algo, get_scale(scale, found))
+        return cls(Path(root), found, algo, get_scale(scale, found, algo))
 
     @property
     def folder(self) -> Path:

@@ -8,19 +8,18 @@ import numpy as np
 from safetensors.torch import load_file
 from tqdm import tqdm
 
-from detden_lite import artifacts, metrics, study
+from detden_lite import artifacts, metrics, qfunction, study, victim_training
 from detden_lite.defense import Detector, augmentation
 from detden_lite.defense.detector import calibrate, clean_scores
 from detden_lite.defense.training import train_gruvae
 from detden_lite.rollout import rollout
 from detden_lite.runs import DATASETS, VARIANTS, Run, load_shard, load_trajectories, save_shard, shards
-from detden_lite.victim_training import train_td3
 from detden_lite.victims import Victim
 
 
 def train_victim(run: Run, seed: int) -> None:
     """Train one seed; its snapshots are kept in the run's checkpoints."""
-    train_td3(run.task, run.scale.victim, seed, run.folder / "checkpoints" / f"victim-{seed}")
+    victim_training.train_victim(run.task, run.scale.victim, seed, run.folder / "checkpoints" / f"victim-{seed}")
 
 
 def select_victim(run: Run) -> None:
@@ -32,8 +31,8 @@ def select_victim(run: Run) -> None:
     rows, curves = [], []
     for folder in sorted((run.folder / "checkpoints").glob("victim-*")):
         recipe = json.loads((folder / "recipe.json").read_text())
-        net, obs_dim, action_dim = [recipe["net"]] * 2, run.task.obs_dim, run.task.action_dim
-        config = dict(actor=[obs_dim, *net, action_dim], critic=[obs_dim + action_dim, *net, 1])
+        kind = type(run.scale.victim)
+        config = kind(**{key: recipe[key] for key in recipe.keys() & kind.__dataclass_fields__}).config(run.task)
         for snapshot in tqdm(sorted((folder / "snapshots").glob("*.safetensors")), desc=folder.name, unit="snapshot"):
             mean = _returns(run, config, snapshot, study.seeds("screening", 5)).mean()
             rows.append(dict(recipe=recipe, step=int(snapshot.stem), mean=float(mean), path=snapshot, config=config))
@@ -61,6 +60,20 @@ def select_victim(run: Run) -> None:
     )
     victim = Victim.from_state(chosen["config"], load_file(chosen["path"]))
     artifacts.save_victim(run.task.name, run.algo, victim, sidecar, run.root)
+
+
+def learn_q(run: Run, seed: int = 0) -> None:
+    """Learn the Q-function of a PPO victim from clean episodes; a TD3 victim has its critics already."""
+    if run.algo == "td3":
+        raise ValueError("a TD3 victim has critics of its own; the qfunction stage is for PPO")
+    recipe, episodes = run.scale.critic, study.seeds("critic", run.scale.critic.episodes)
+    net, fit = qfunction.learn_q(run.victim(), run.task, recipe, episodes, run.scale.horizon, seed)
+    sizes = [run.task.obs_dim + run.task.action_dim, recipe.net, recipe.net, 1]
+    sidecar = dict(
+        critic=sizes, activation="relu", recipe=asdict(recipe), seed=seed, fit=asdict(fit),
+        versions=artifacts.versions(),
+    )  # fmt: skip
+    artifacts.save_tensors(run.folder / "critic.safetensors", net.state_dict(), sidecar, run.root)
 
 
 def _returns(run: Run, config: dict, snapshot: Path, episode_seeds) -> np.ndarray:
@@ -135,15 +148,19 @@ def cells(variants=tuple(VARIANTS)) -> list[study.Cell]:
     return found
 
 
-def evaluate(run: Run, variants=tuple(VARIANTS)) -> None:
-    """Every cell of the table, a record each; C_vul is tuned first."""
-    victim = run.victim()
-    threat = study.Threat(run.budget, run.scale.attack_steps)
-    path = run.folder / "timing.json"
+def fit_adversary(run: Run) -> None:
+    """Tune C_vul, and with it the rate of the random timing, on tuning episodes."""
+    path, threat = run.folder / "timing.json", study.Threat(run.budget, run.scale.attack_steps)
     if not artifacts.is_made(path, run.root):
-        artifacts.write_json(path, study.tune_vulnerable(run.task, victim, threat, steps=run.scale.horizon), run.root)
-    tuned = artifacts.read_json(path, run.root)
-    threat = replace(threat, c_vul=tuned["c_vul"], rate=tuned["attack_rate"])
+        tuned = study.tune_vulnerable(run.task, run.victim(), threat, steps=run.scale.horizon)
+        artifacts.write_json(path, tuned, run.root)
+
+
+def evaluate(run: Run, variants=tuple(VARIANTS)) -> None:
+    """Every cell of the table, a record each."""
+    victim = run.victim()
+    tuned = artifacts.read_json(run.folder / "timing.json", run.root)
+    threat = study.Threat(run.budget, run.scale.attack_steps, c_vul=tuned["c_vul"], rate=tuned["attack_rate"])
     for cell in cells(variants):
         name = cell.record_name(run.task.name, run.algo)
         path = run.root / "results" / f"{name}.json"

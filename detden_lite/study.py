@@ -17,7 +17,7 @@ from detden_lite.victims import Victim
 # Where the seeds of episodes begin, by what they are for: what is tuned on is never reported.
 SEEDS = dict(
     normal=1_000_000, calibration=2_000_000, screening=3_000_000, selection=4_000_000, tuning=5_000_000,
-    report=8_000_000,
+    critic=6_000_000, report=8_000_000,
 )  # fmt: skip
 
 

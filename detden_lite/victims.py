@@ -33,6 +33,7 @@ class Victim(nn.Module):
         value: layer sizes of the value network, from obs_dim to 1; None if V(o) = Q(o, pi(o)).
         n_critics: how many Q networks (TD3 has two).
         activation: "relu" or "tanh".
+        critic_activation: of the Q networks, where it is another one.
         gaussian: whether the policy is stochastic.
     """
 
@@ -43,15 +44,19 @@ class Victim(nn.Module):
         value: list[int] | None = None,
         n_critics: int = 2,
         activation: str = "relu",
+        critic_activation: str | None = None,
         gaussian: bool = False,
     ):
         super().__init__()
         self.config = dict(
-            actor=actor, critic=critic, value=value, n_critics=n_critics, activation=activation, gaussian=gaussian
-        )
+            actor=actor, critic=critic, value=value, n_critics=n_critics, activation=activation,
+            critic_activation=critic_activation, gaussian=gaussian,
+        )  # fmt: skip
         obs_dim, action_dim = actor[0], actor[-1]
         self.actor = mlp(actor, activation, squash=not gaussian)
-        self.critics = nn.ModuleList(mlp(critic, activation) for _ in range(n_critics if critic else 0))
+        self.critics = nn.ModuleList(
+            mlp(critic, critic_activation or activation) for _ in range(n_critics if critic else 0)
+        )
         self.value_net = mlp(value, activation) if value else None
         self.register_buffer("obs_mean", torch.zeros(obs_dim))
         self.register_buffer("obs_std", torch.ones(obs_dim))
@@ -88,15 +93,31 @@ class Victim(nn.Module):
         """Q(o, a) ``[N]``: the smallest of the critics, as TD3's own target takes it."""
         if not len(self.critics):
             raise ValueError("this victim has no Q-function: learn one from clean data first, or attack without it")
-        scaled = 2 * (action - self.action_low) / (self.action_high - self.action_low) - 1
-        x = torch.cat([self.normalize(obs), scaled], dim=-1)
+        x = self.critic_input(obs, action)
         return torch.stack([critic(x) for critic in self.critics]).amin(0).squeeze(-1)
+
+    def critic_input(self, obs: Tensor, action: Tensor) -> Tensor:
+        """What a Q network sees: normalised observations and actions scaled to [-1, 1], ``[..., obs_dim + action_dim]``."""
+        scaled = 2 * (action - self.action_low) / (self.action_high - self.action_low) - 1
+        return torch.cat([self.normalize(obs), scaled], dim=-1)
 
     def value(self, obs: Tensor) -> Tensor:
         """V(o) ``[N]``: the value network's, or Q(o, pi(o)) for a deterministic policy (section 3.2)."""
         if self.value_net is not None:
             return self.value_net(self.normalize(obs)).squeeze(-1)
         return self.q(obs, self(obs))
+
+    def with_critic(self, critic: list[int], state: Mapping[str, Tensor], activation: str = "relu") -> "Victim":
+        """This victim with a Q-function that was learned afterwards.
+
+        Args:
+            critic: layer sizes, from obs_dim + action_dim to 1.
+            state: the state dict of ``mlp(critic, activation)``; see ``detden_lite.qfunction``.
+            activation: of its hidden layers.
+        """
+        own = {name: tensor for name, tensor in self.state_dict().items() if not name.startswith("critics.")}
+        config = self.config | dict(critic=critic, n_critics=1, critic_activation=activation)
+        return Victim.from_state(config, own | {f"critics.0.{name}": tensor for name, tensor in state.items()})
 
     @classmethod
     def from_state(cls, config: Mapping, state: Mapping[str, Tensor]) -> "Victim":
@@ -108,7 +129,7 @@ class Victim(nn.Module):
     @classmethod
     @torch.no_grad()
     def from_sb3(cls, model, vecnormalize=None) -> "Victim":
-        """A frozen copy of a stable-baselines3 TD3 or PPO model, or of an sbx-rl TD3 model.
+        """A frozen copy of a stable-baselines3 TD3 or PPO model, or of an sbx-rl one.
 
         Args:
             model: the trained model, with plain MLP networks and a Box action space.
@@ -119,13 +140,14 @@ class Victim(nn.Module):
         """
         kinds = {kind.__name__ for kind in type(getattr(model, "policy", None)).__mro__}
         name = type(model).__name__
-        if not kinds & {"TD3Policy", "ActorCriticPolicy"}:
+        if not kinds & {"TD3Policy", "ActorCriticPolicy", "PPOPolicy"}:
             raise ValueError(f"model: {name} is neither a TD3 nor a PPO model with an MLP policy")
         try:
-            if "ActorCriticPolicy" in kinds:
-                victim = _from_sb3_ppo(model)
+            in_jax = hasattr(model.policy, "actor_state")
+            if "TD3Policy" in kinds:
+                victim = _from_sbx_td3(model) if in_jax else _from_sb3_td3(model)
             else:
-                victim = _from_sbx_td3(model) if hasattr(model.policy, "actor_state") else _from_sb3_td3(model)
+                victim = _from_sbx_ppo(model) if in_jax else _from_sb3_ppo(model)
             victim.action_low.copy_(torch.as_tensor(model.action_space.low))
             victim.action_high.copy_(torch.as_tensor(model.action_space.high))
             if vecnormalize is not None and vecnormalize.norm_obs:
@@ -176,27 +198,40 @@ def _from_sb3_td3(model) -> Victim:
     return _deterministic(_linears(model.actor.mu), critics, _activation(model.critic))
 
 
-def _from_sbx_td3(model) -> Victim:
-    def dense(params: Mapping) -> list[tuple[Tensor, Tensor]]:
-        if "Dense_0" not in params:  # flax wraps the layers in modules of its own
-            return dense(next(iter(params.values())))
-        names = sorted(params, key=lambda name: int(name.split("_")[1]))
-        return [tuple(torch.tensor(np.asarray(params[n][k])) for k in ("kernel", "bias")) for n in names]
+def _dense(params: Mapping) -> list[tuple[Tensor, Tensor]]:
+    """Kernels and biases of a flax MLP, in order."""
+    if "Dense_0" not in params:  # flax wraps the layers in modules of its own
+        return _dense(next(iter(params.values())))
+    names = sorted((name for name in params if name.startswith("Dense_")), key=lambda name: int(name.split("_")[1]))
+    return [tuple(torch.tensor(np.asarray(params[n][k])) for k in ("kernel", "bias")) for n in names]
 
-    actor = [(kernel.T, bias) for kernel, bias in dense(model.policy.actor_state.params)]
-    both = dense(model.policy.qf_state.params)
+
+def _from_sbx_td3(model) -> Victim:
+    actor = [(kernel.T, bias) for kernel, bias in _dense(model.policy.actor_state.params)]
+    both = _dense(model.policy.qf_state.params)
     critics = [[(kernel[i].T, bias[i]) for kernel, bias in both] for i in range(len(both[0][0]))]
     return _deterministic(actor, critics, model.policy.activation_fn.__name__)
+
+
+def _gaussian(actor, value, activation: str, log_std: Tensor) -> Victim:
+    victim = Victim(_sizes(actor), value=_sizes(value), n_critics=0, activation=activation, gaussian=True)
+    _fill(victim.actor, actor)
+    _fill(victim.value_net, value)
+    victim.action_std.copy_(log_std.exp())
+    return victim
 
 
 def _from_sb3_ppo(model) -> Victim:
     policy = model.policy
     actor = _linears(policy.mlp_extractor.policy_net) + _linears(policy.action_net)
     value = _linears(policy.mlp_extractor.value_net) + _linears(policy.value_net)
-    victim = Victim(
-        _sizes(actor), value=_sizes(value), activation=_activation(policy.mlp_extractor.policy_net), gaussian=True
+    return _gaussian(actor, value, _activation(policy.mlp_extractor.policy_net), policy.log_std)
+
+
+def _from_sbx_ppo(model) -> Victim:
+    policy = model.policy
+    actor, value = (
+        [(kernel.T, bias) for kernel, bias in _dense(state.params)] for state in (policy.actor_state, policy.vf_state)
     )
-    _fill(victim.actor, actor)
-    _fill(victim.value_net, value)
-    victim.action_std.copy_(policy.log_std.exp())
-    return victim
+    log_std = torch.tensor(np.asarray(policy.actor_state.params["params"]["log_std"]))
+    return _gaussian(actor, value, policy.activation_fn.__name__, log_std)

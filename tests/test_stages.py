@@ -20,7 +20,7 @@ from detden_lite.rollout import rollout
 from detden_lite.study import seeds
 from detden_lite.victims import Victim
 
-ORDER = ["victim", "select", "collect", "augment", "detector", "denoiser", "evaluate"]
+ORDER = ["victim", "select", "collect", "augment", "detector", "denoiser", "adversary", "evaluate"]
 
 
 def run_stage(root: Path, *stage: str) -> None:
@@ -123,9 +123,10 @@ def test_what_is_lost_or_harmed_is_made_anew_and_the_same(tiny, copy):
         "augment": ["hopper-td3/adversarial-diverse/00000.json"],
         "detector": ["hopper-td3/detector-diverse.safetensors"],
         "denoiser": ["hopper-td3/denoiser-residual.json"],
+        "adversary": ["hopper-td3/timing.json"],
         "evaluate": ["results/hopper-td3.opposite.always.residual.json"],
     }
-    for harmed in (f"{shard}.safetensors", "hopper-td3/timing.json"):
+    for harmed in (f"{shard}.safetensors",):
         (copy / harmed).write_bytes((copy / harmed).read_bytes()[:100])
     manifest = json.loads((copy / "manifest.json").read_text())
     del manifest["results/hopper-td3.fgsm.always.none.json"]  # written, but the kill came before it was noted
@@ -159,7 +160,9 @@ def test_without_a_snapshot_there_is_nothing_to_select(copy):
         ("augment", ["victim.*"], "normal-diverse.*00000.safetensors is missing"),
         ("detector", ["victim.*"], "normal-diverse is empty; run the collect stage first"),
         ("denoiser", ["victim.*", "normal-diverse"], "adversarial-diverse is empty; run the augment stage first"),
-        ("evaluate", ["victim.*"], "denoiser-residual.safetensors is missing"),
+        ("adversary", [], "victim.safetensors is missing"),
+        ("evaluate", ["victim.*"], "timing.json is missing"),
+        ("evaluate", ["victim.*", "timing.json"], "denoiser-residual.safetensors is missing"),
     ],
 )
 def test_a_stage_out_of_order_says_what_is_missing(tiny, tmp_path, stage, made, message):
@@ -213,5 +216,5 @@ def test_what_the_command_line_does_not_know_it_refuses(arguments, capsys):
 
 
 def test_only_what_is_built_can_be_run():
-    with pytest.raises(ValueError, match="'sac'; choose one of: td3"):
+    with pytest.raises(ValueError, match="'sac'; choose one of: td3, ppo"):
         stages.Run.of(Path("runs"), "hopper", "sac", "tiny")

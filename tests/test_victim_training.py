@@ -12,16 +12,16 @@ import torch
 from builders import HOPPER, normal
 from safetensors.torch import load_file
 
-from detden_lite.victim_training import TD3Recipe, train_td3
+from detden_lite.victim_training import TD3Recipe, train_victim
 from detden_lite.victims import Victim
 
 RECIPE = TD3Recipe(steps=1_000, segment=200, net=16, batch=16, buffer=500, learning_starts=100)
 TRAIN = f"""
 from pathlib import Path
 from detden_lite.tasks import get_task
-from detden_lite.victim_training import TD3Recipe, train_td3
+from detden_lite.victim_training import TD3Recipe, train_victim
 import sys
-train_td3(get_task("hopper"), TD3Recipe(**{asdict(RECIPE)}), 0, Path(sys.argv[1]))
+train_victim(get_task("hopper"), TD3Recipe(**{asdict(RECIPE)}), 0, Path(sys.argv[1]), checkpoint_seconds=0)
 """
 
 
@@ -32,7 +32,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 @pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("uninterrupted")
-    train_td3(HOPPER, RECIPE, 0, folder)
+    train_victim(HOPPER, RECIPE, 0, folder)
     return folder
 
 
@@ -52,7 +52,7 @@ def test_a_training_that_is_killed_and_resumed_is_one_that_never_stopped(tmp_pat
     process.send_signal(signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
     assert 1 <= len(contents(tmp_path)) < 5
-    train_td3(HOPPER, RECIPE, 0, tmp_path)
+    train_victim(HOPPER, RECIPE, 0, tmp_path)
     assert contents(tmp_path) == contents(uninterrupted)
 
 
@@ -62,13 +62,13 @@ def test_a_kill_between_two_checkpoints_loses_neither(tmp_path, uninterrupted):
     os.rename(folder / "checkpoint", folder / "checkpoint.old")
     (folder / "checkpoint.new").mkdir()
     shutil.rmtree(folder / "snapshots")
-    assert train_td3(HOPPER, RECIPE, 0, folder) == []  # it goes on after the last segment, and does nothing anew
+    assert train_victim(HOPPER, RECIPE, 0, folder) == []  # it goes on after the last segment, and does nothing anew
     assert (folder / "checkpoint" / "model.zip").exists()
 
 
 def test_a_finished_training_is_not_repeated(uninterrupted):
     before = contents(uninterrupted), (uninterrupted / "checkpoint" / "model.zip").stat().st_mtime_ns
-    train_td3(HOPPER, RECIPE, 0, uninterrupted)
+    train_victim(HOPPER, RECIPE, 0, uninterrupted)
     assert (contents(uninterrupted), (uninterrupted / "checkpoint" / "model.zip").stat().st_mtime_ns) == before
 
 
@@ -76,7 +76,7 @@ def test_a_finished_training_is_not_repeated(uninterrupted):
 def test_a_folder_with_another_run_is_refused(uninterrupted, change):
     seed = change.pop("seed", 0)
     with pytest.raises(ValueError, match="recipe.json describes another run"):
-        train_td3(HOPPER, TD3Recipe(**asdict(RECIPE) | change), seed, uninterrupted)
+        train_victim(HOPPER, TD3Recipe(**asdict(RECIPE) | change), seed, uninterrupted)
 
 
 @pytest.mark.parametrize("change", [dict(steps=1_100), dict(segment=130)])
