@@ -17,7 +17,6 @@ def parser() -> argparse.ArgumentParser:
         prog="python -m detden_lite",
         description="Train, attack and defend a victim, stage by stage. A stage makes what is missing: after an "
         "interruption, run it again and it goes on.",
-        formatter_class=lambda prog: argparse.HelpFormatter(prog, max_help_position=16),
     )
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument("--task", choices=TASKS, default="hopper", help="default: %(default)s")

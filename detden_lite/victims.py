@@ -97,7 +97,7 @@ class Victim(nn.Module):
         return torch.stack([critic(x) for critic in self.critics]).amin(0).squeeze(-1)
 
     def critic_input(self, obs: Tensor, action: Tensor) -> Tensor:
-        """What a Q network sees: normalised observations and actions scaled to [-1, 1], ``[..., obs_dim + action_dim]``."""
+        """What a Q network sees, ``[N, obs_dim + action_dim]``: normalised observations, actions scaled to [-1, 1]."""
         scaled = 2 * (action - self.action_low) / (self.action_high - self.action_low) - 1
         return torch.cat([self.normalize(obs), scaled], dim=-1)
 

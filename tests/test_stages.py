@@ -1,5 +1,6 @@
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -204,7 +205,7 @@ def test_help_lists_the_stages_in_their_order(capsys):
         main(["--help"])
     assert stop.value.code == 0
     printed = capsys.readouterr().out
-    places = [printed.index(f"\n    {stage} ") for stage in ORDER]
+    places = [re.search(rf"\n    {stage}\s", printed).start() for stage in ORDER]
     assert places == sorted(places)
 
 
