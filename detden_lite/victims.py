@@ -91,10 +91,14 @@ class Victim(nn.Module):
 
     def q(self, obs: Tensor, action: Tensor) -> Tensor:
         """Q(o, a) ``[N]``: the smallest of the critics, as TD3's own target takes it."""
+        return self.qs(obs, action).amin(0)
+
+    def qs(self, obs: Tensor, action: Tensor) -> Tensor:
+        """Q(o, a) of each critic, ``[n_critics, N]``."""
         if not len(self.critics):
             raise ValueError("this victim has no Q-function: learn one from clean data first, or attack without it")
         x = self.critic_input(obs, action)
-        return torch.stack([critic(x) for critic in self.critics]).amin(0).squeeze(-1)
+        return torch.stack([critic(x).squeeze(-1) for critic in self.critics])
 
     def critic_input(self, obs: Tensor, action: Tensor) -> Tensor:
         """What a Q network sees, ``[N, obs_dim + action_dim]``: normalised observations, actions scaled to [-1, 1]."""

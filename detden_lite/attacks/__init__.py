@@ -3,6 +3,7 @@ an episode; and ``attack(obs, world) -> perturbed``, all ``[N, obs_dim]``."""
 
 from detden_lite.attacks.noise import GaussianNoise, UniformNoise
 from detden_lite.attacks.opposite import OppositeAttack
+from detden_lite.attacks.qfunction import QFunctionAttack
 from detden_lite.attacks.timing import Always, Random, Vulnerable
 
-__all__ = ["Always", "GaussianNoise", "OppositeAttack", "Random", "UniformNoise", "Vulnerable"]
+__all__ = ["Always", "GaussianNoise", "OppositeAttack", "QFunctionAttack", "Random", "UniformNoise", "Vulnerable"]

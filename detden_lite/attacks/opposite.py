@@ -1,13 +1,11 @@
 """The opposite attack: make the policy do something as different as possible (section 3.2.1, equation 1)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
-from detden_lite.ascent import ascend
-from detden_lite.budget import Budget
-from detden_lite.draws import Draws
+from detden_lite.attacks.gradient import GradientAttack
 from detden_lite.victims import Victim
 
 
@@ -27,26 +25,10 @@ def opposite_objective(victim: Victim, obs: Tensor) -> Callable[[Tensor], Tensor
     return objective
 
 
-class OppositeAttack:
-    """Projected gradient ascent on l_op from a random start, at every call.
-
-    Args:
-        victim: the policy under attack.
-        budget: the ball.
-        steps: gradient steps (1 is FGSM).
-        restarts: random starts; the best is taken.
-        seed: of the random starts.
-    """
+class OppositeAttack(GradientAttack):
+    """Projected gradient ascent on l_op; see ``GradientAttack`` for the arguments."""
 
     needs = frozenset({"policy"})
 
-    def __init__(self, victim: Victim, budget: Budget, steps: int = 20, restarts: int = 1, seed: int = 0):
-        self.victim, self.budget, self.steps, self.restarts, self.seed = victim, budget, steps, restarts, seed
-
-    def reset(self, episodes: Sequence[int] | None = None) -> None:
-        """Begin new episodes, one seed each; None for offline use on any number of rows."""
-        self.draws = Draws(self.seed, episodes)
-
-    def __call__(self, obs: Tensor, world=None) -> Tensor:
-        objective = opposite_objective(self.victim, obs)
-        return ascend(objective, obs, self.budget, self.draws, self.steps, restarts=self.restarts)
+    def objective(self, obs: Tensor) -> Callable[[Tensor], Tensor]:
+        return opposite_objective(self.victim, obs)

@@ -1,0 +1,38 @@
+"""The Q-function attack: make the policy do what its own critic likes least (section 3.2.1, equation 2)."""
+
+from collections.abc import Callable
+
+from torch import Tensor
+
+from detden_lite.attacks.gradient import GradientAttack
+from detden_lite.victims import Victim
+
+
+def q_objective(victim: Victim, obs: Tensor) -> Callable[[Tensor], Tensor]:
+    """-Q(o, pi(.)): how bad the action is that the policy takes when it sees ``[N, obs_dim]`` perturbed.
+
+    Q always sees the true ``obs``: the world is what it is, whatever the policy is shown. Q is the mean of the critics.
+    TD3 trains its actor on the first alone, whose flaws the actor knows and hides from; the smallest of them would send
+    the attacker to wherever one of them errs.
+    """
+
+    def objective(perturbed: Tensor) -> Tensor:
+        mean = victim.mean(perturbed)
+        # A Gaussian policy's mean may lie outside the action bounds; its gradient must survive the clipping there.
+        action = mean + (mean.clamp(victim.action_low, victim.action_high) - mean).detach()
+        return -victim.qs(obs, action).mean(0)
+
+    return objective
+
+
+class QFunctionAttack(GradientAttack):
+    """Projected gradient descent on Q(o, pi(.)); see ``GradientAttack`` for the arguments.
+
+    Raises:
+        ValueError: if the victim has no Q-function.
+    """
+
+    needs = frozenset({"policy", "critic"})
+
+    def objective(self, obs: Tensor) -> Callable[[Tensor], Tensor]:
+        return q_objective(self.victim, obs)
