@@ -53,6 +53,7 @@ class Episodes:
 class World:
     """What an attack may see beside the observation, according to its ``needs``; the rest is None."""
 
+    wanted: np.ndarray | None = None  # whose perturbed observation will be used, [N] bool; the others' may be anything
     simulator: Simulator | None = None
     defense: Any = None  # a copy, with the defence's memory as it is before this observation
 
@@ -113,11 +114,12 @@ def rollout(
         row = dict(mask=simulator.alive.copy(), state=simulator.state().astype(np.float32), obs=obs)
         attacked, perturbed = nothing, true
         if attack is not None:
+            attacked = timing(true)
             world = World(
+                attacked.numpy() & simulator.alive,
                 simulator if "simulator" in needs else None,
                 copy.deepcopy(defense) if "defense" in needs else None,
             )
-            attacked = timing(true)
             perturbed = torch.where(attacked[:, None], attack(true, world), true)
         shown, alarm, score, denoised = perturbed, nothing, no_score, perturbed
         if defense is not None:

@@ -7,9 +7,20 @@ import numpy as np
 import torch
 
 from detden_lite.artifacts import versions
-from detden_lite.attacks import Always, GaussianNoise, OppositeAttack, Random, UniformNoise, Vulnerable
+from detden_lite.attacks import (
+    Always,
+    EnchantingAttack,
+    GaussianNoise,
+    OppositeAttack,
+    QFunctionAttack,
+    Random,
+    UniformNoise,
+    Vulnerable,
+)
+from detden_lite.attacks.gradient import GradientAttack
 from detden_lite.budget import Budget
 from detden_lite.metrics import summarize
+from detden_lite.planner import CEMPlanner
 from detden_lite.rollout import Episodes, rollout
 from detden_lite.tasks import Task
 from detden_lite.victims import Victim
@@ -31,7 +42,7 @@ class Cell:
     """What is done to whom. The names are those of the book's tables.
 
     Args:
-        attack: "none", "uniform", "gaussian", "fgsm" or "opposite".
+        attack: "none", "uniform", "gaussian", "fgsm", "opposite", "qfunction" or "enchanting".
         timing: "always", "vulnerable" or "random".
         defense: "none", or the name of a shipped defence.
     """
@@ -55,7 +66,7 @@ class Threat:
     c_vul: float = -np.inf  # threshold of the vulnerable timing
     rate: float = 1.0  # of the random timing
 
-    def attack(self, name: str, victim: Victim):
+    def attack(self, name: str, victim: Victim, task: Task):
         """The attack of this name, or None for "none"."""
         match name:
             case "none":
@@ -68,7 +79,12 @@ class Threat:
                 return OppositeAttack(victim, self.budget, steps=1)
             case "opposite":
                 return OppositeAttack(victim, self.budget, self.steps, self.restarts)
-        raise ValueError(f"attack must be none, uniform, gaussian, fgsm or opposite, not {name!r}")
+            case "qfunction":
+                return QFunctionAttack(victim, self.budget, self.steps, self.restarts)
+            case "enchanting":
+                return EnchantingAttack(victim, self.budget, CEMPlanner(task.env_id), self.steps, self.restarts)
+        names = "none, uniform, gaussian, fgsm, opposite, qfunction or enchanting"
+        raise ValueError(f"attack must be {names}, not {name!r}")
 
     def timing(self, name: str, victim: Victim):
         """The timing of this name."""
@@ -100,14 +116,17 @@ def run_cell(
     """
     if (defense is None) != (cell.defense == "none"):
         raise ValueError(f"defense: the cell says {cell.defense!r}, so give {'None' if defense is not None else 'one'}")
-    attack, timing = threat.attack(cell.attack, victim), threat.timing(cell.timing, victim)
+    attack, timing = threat.attack(cell.attack, victim, task), threat.timing(cell.timing, victim)
     start = time.perf_counter()
     episodes = rollout(
         victim, task, episode_seeds, attack=attack, timing=timing, defense=defense, steps=steps, progress=progress
     )
     settings = dict(epsilon=threat.budget.epsilon, norm=str(threat.budget.norm))
-    if isinstance(attack, OppositeAttack):
+    if isinstance(attack, GradientAttack | EnchantingAttack):
         settings |= dict(steps=attack.steps, restarts=attack.restarts)
+    if isinstance(attack, EnchantingAttack):
+        planner = attack.planner
+        settings |= dict(horizon=planner.horizon, population=planner.population, iterations=planner.iterations)
     if cell.timing == "vulnerable":
         settings["c_vul"] = threat.c_vul
     if cell.timing == "random":
@@ -141,7 +160,7 @@ def tune_vulnerable(
 
     clean = measure(None, None)
     values = victim.value(torch.from_numpy(clean.obs[clean.mask])).numpy()
-    attack = threat.attack("opposite", victim)
+    attack = threat.attack("opposite", victim, task)
     damage = clean.returns.mean() - measure(attack, Always()).returns.mean()
     sweep = []
     for quantile in (0.01, 0.03, 0.1, 0.25, 0.5, 0.75, 0.9, 0.99):

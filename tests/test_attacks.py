@@ -6,9 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_budget import NORMS, cases, excess
 
-from detden_lite.attacks import GaussianNoise, OppositeAttack, UniformNoise
+from detden_lite.attacks import EnchantingAttack, GaussianNoise, OppositeAttack, QFunctionAttack, UniformNoise
 from detden_lite.attacks.opposite import opposite_objective
+from detden_lite.attacks.qfunction import q_objective
 from detden_lite.budget import Budget
+from detden_lite.planner import CEMPlanner
+from detden_lite.rollout import World
+from detden_lite.simulator import Simulator
 from detden_lite.tasks import TASKS
 from detden_lite.victims import Victim
 
@@ -123,3 +127,79 @@ def test_an_episodes_attack_depends_on_its_own_seed_alone(kind):
 def test_attacks_declare_what_they_know():
     assert UniformNoise(BUDGET).needs == GaussianNoise(BUDGET).needs == frozenset()
     assert OppositeAttack(make_victim(), BUDGET).needs == {"policy"}
+    assert QFunctionAttack(make_victim(), BUDGET).needs == {"policy", "critic"}
+    assert EnchantingAttack(make_victim(), BUDGET, CEMPlanner("Hopper-v5")).needs == {"policy", "simulator"}
+
+
+class Quadratic(Victim):
+    """One linear action, w.o + b, and Q(o, a) = -(a - o_0)^2."""
+
+    def __init__(self):
+        torch.manual_seed(0)
+        super().__init__([6, 1], gaussian=True)
+        self.actor[0].weight[0, 0] = 0.2  # raising o_0 raises the action, but the best action more
+        self.action_low.fill_(-100)
+        self.action_high.fill_(100)
+
+    def qs(self, obs, action):
+        return -(action - obs[:, :1]).square().T
+
+
+@pytest.mark.parametrize("norm", NORMS)
+def test_the_q_attack_finds_the_worst_action_of_a_quadratic_q(norm):
+    """The end of the reachable interval that is farther from the best action."""
+    victim, obs = Quadratic(), normal(20, 6)
+    dual = {float("inf"): 1, 2: 2, 1: float("inf")}[norm]
+    reach = 0.05 * torch.linalg.vector_norm(victim.actor[0].weight[0], ord=dual)
+    perturbed = attack_once(QFunctionAttack(victim, Budget(0.05, norm), steps=100, restarts=5), obs)
+    worst = ((victim(obs)[:, 0] - obs[:, 0]).abs() + reach).square()
+    assert torch.allclose(q_objective(victim, obs)(perturbed), worst, rtol=1e-3, atol=1e-3)
+
+
+def test_the_q_attack_asks_q_about_the_true_observation():
+    """With Q of the perturbed observation, as the paper's released code has it, another point would be found."""
+    victim, obs = Quadratic(), normal(20, 6)
+    wrong = obs.clone().requires_grad_()
+    (gradient,) = torch.autograd.grad(-victim.qs(wrong, victim(wrong)).sum(), wrong)
+    one_step = obs + 0.05 * gradient.sign()
+    right = attack_once(QFunctionAttack(victim, Budget(0.05), steps=100, restarts=5), obs)
+    objective = q_objective(victim, obs)
+    assert (objective(right) > objective(one_step) + 1e-4).any()
+    assert (objective(right) >= objective(one_step) - 1e-5).all()
+
+
+def test_a_gaussian_policy_beyond_its_bounds_can_still_be_attacked():
+    victim, obs = Quadratic(), normal(20, 6)
+    victim.action_high.fill_(-0.5)  # below most means: clipping would hide the gradient
+    victim.action_low.fill_(-0.6)
+    attack = QFunctionAttack(victim, Budget(1.0), steps=20)
+    assert torch.isfinite(attack_once(attack, obs)).all()
+    x = obs.clone().requires_grad_()
+    (gradient,) = torch.autograd.grad(victim.straight_through(x).sum(), x)
+    assert torch.allclose(gradient, victim.actor[0].weight.expand_as(gradient))
+    assert torch.allclose(victim.straight_through(obs), victim(obs))
+
+
+def test_a_victim_without_a_critic_cannot_be_asked():
+    with pytest.raises(ValueError, match="no Q-function"):
+        attack_once(QFunctionAttack(make_victim(gaussian=True), BUDGET), normal(2, 11))
+
+
+class FixedPlan(CEMPlanner):
+    """A planner whose answer is known."""
+
+    def plan(self, envs, wanted):
+        return np.full((len(envs), 1), 0.3)
+
+
+def test_the_enchanting_attack_brings_the_policy_to_the_planners_action():
+    """As near as the ball lets it, on a linear policy."""
+    victim, obs = Quadratic(), normal(20, 6)
+    world = World(np.ones(20, dtype=bool), Simulator("Hopper-v5", range(20)))
+    attack = EnchantingAttack(victim, Budget(0.3), FixedPlan("Hopper-v5"), steps=200, restarts=3)
+    attack.reset(range(20))
+    found = victim(attack(obs, world))[:, 0]
+    action, reach = victim(obs)[:, 0], 0.3 * victim.actor[0].weight.abs().sum()
+    nearest = torch.full((20,), 0.3).clamp(action - reach, action + reach)
+    assert (nearest == 0.3).any() and (nearest != 0.3).any()
+    assert torch.allclose(found, nearest, atol=3e-3)

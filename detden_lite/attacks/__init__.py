@@ -1,9 +1,13 @@
 """The attacker's side. An attack has ``needs``, what it knows of the victim; ``reset(episodes)``, called with one seed
 an episode; and ``attack(obs, world) -> perturbed``, all ``[N, obs_dim]``."""
 
+from detden_lite.attacks.enchanting import EnchantingAttack
 from detden_lite.attacks.noise import GaussianNoise, UniformNoise
 from detden_lite.attacks.opposite import OppositeAttack
 from detden_lite.attacks.qfunction import QFunctionAttack
 from detden_lite.attacks.timing import Always, Random, Vulnerable
 
-__all__ = ["Always", "GaussianNoise", "OppositeAttack", "QFunctionAttack", "Random", "UniformNoise", "Vulnerable"]
+__all__ = [
+    "Always", "EnchantingAttack", "GaussianNoise", "OppositeAttack", "QFunctionAttack", "Random", "UniformNoise",
+    "Vulnerable",
+]  # fmt: skip

@@ -16,13 +16,7 @@ def q_objective(victim: Victim, obs: Tensor) -> Callable[[Tensor], Tensor]:
     the attacker to wherever one of them errs.
     """
 
-    def objective(perturbed: Tensor) -> Tensor:
-        mean = victim.mean(perturbed)
-        # A Gaussian policy's mean may lie outside the action bounds; its gradient must survive the clipping there.
-        action = mean + (mean.clamp(victim.action_low, victim.action_high) - mean).detach()
-        return -victim.qs(obs, action).mean(0)
-
-    return objective
+    return lambda perturbed: -victim.qs(obs, victim.straight_through(perturbed)).mean(0)
 
 
 class QFunctionAttack(GradientAttack):
