@@ -89,6 +89,11 @@ class Victim(nn.Module):
         """pi(o): actions ``[N, action_dim]`` for observations ``[N, obs_dim]``, inside the action bounds."""
         return self.mean(obs).clamp(self.action_low, self.action_high)
 
+    def straight_through(self, obs: Tensor) -> Tensor:
+        """pi(o) with the gradient of the unclipped mean: for attacks, which must find their way back from a bound."""
+        mean = self.mean(obs)
+        return mean + (mean.clamp(self.action_low, self.action_high) - mean).detach()
+
     def q(self, obs: Tensor, action: Tensor) -> Tensor:
         """Q(o, a) ``[N]``: the smallest of the critics, as TD3's own target takes it."""
         return self.qs(obs, action).amin(0)
