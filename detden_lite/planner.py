@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 
-import gymnasium
 import mujoco
 import mujoco.rollout
 import numpy as np
 
 from detden_lite.draws import Draws
+from detden_lite.simulator import make
 
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
@@ -31,7 +31,7 @@ class OpenLoop:
         self.name = env_id.split("-")[0]
         if self.name not in ("Hopper", "Walker2d", "HalfCheetah", "Ant", "Humanoid"):
             raise ValueError(f"env_id: the planner does not know the reward of {env_id}")
-        self.env = gymnasium.make(env_id).unwrapped
+        self.env = make(env_id).unwrapped
         self.model = self.env.model
         if self.name == "Humanoid":  # its reward follows the centre of mass, which is no part of the state
             spec = mujoco.MjSpec.from_file(self.env.fullpath)

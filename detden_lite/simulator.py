@@ -3,7 +3,18 @@
 from collections.abc import Sequence
 
 import gymnasium
+import mujoco
 import numpy as np
+
+
+def make(env_id: str) -> gymnasium.Env:
+    """gymnasium.make, without what MuJoCo prints, and writes to a file, about HalfCheetah's model each time."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        return gymnasium.make(env_id)
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 class Simulator:
@@ -18,7 +29,7 @@ class Simulator:
         if not len(seeds):
             raise ValueError("seeds is empty: give one seed for each episode")
         # The unwrapped environment saves the time of the checks; a time limit is the caller's.
-        self.envs = [gymnasium.make(env_id).unwrapped for _ in seeds]
+        self.envs = [make(env_id).unwrapped for _ in seeds]
         self.seeds = [int(seed) for seed in seeds]
         self.alive = np.ones(len(seeds), dtype=bool)
 

@@ -58,3 +58,10 @@ def test_what_was_returned_is_not_written_over():
 def test_no_seeds_are_refused():
     with pytest.raises(ValueError, match="seeds"):
         Simulator("Hopper-v5", [])
+
+
+@pytest.mark.parametrize("env_id", ["HalfCheetah-v5", "Hopper-v5"])
+def test_making_worlds_prints_nothing(env_id, capfd, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Simulator(env_id, [0, 1]).reset()
+    assert capfd.readouterr() == ("", "") and not list(tmp_path.iterdir())
