@@ -15,13 +15,13 @@ _PPO = PPORecipe(envs=32, rollout=64, batch=128)
 VICTIMS = {
     ("hopper", "td3"): TD3Recipe(steps=500_000),
     ("walker2d", "td3"): TD3Recipe(steps=1_000_000),
-    ("halfcheetah", "td3"): TD3Recipe(steps=800_000),
-    ("ant", "td3"): TD3Recipe(steps=1_000_000),
+    ("halfcheetah", "td3"): TD3Recipe(steps=540_000),
+    ("ant", "td3"): TD3Recipe(steps=700_000),
     ("humanoid", "td3"): TD3Recipe(steps=1_000_000, learning_rate=3e-4),
     ("hopper", "ppo"): _PPO,
     ("walker2d", "ppo"): _PPO,
     ("halfcheetah", "ppo"): replace(_PPO, log_std=-0.7),
-    ("ant", "ppo"): replace(_PPO, steps=4_096_000, log_std=-0.5),
+    ("ant", "ppo"): replace(_PPO, steps=3_072_000, log_std=-0.5),
     ("humanoid", "ppo"): PPORecipe(
         steps=8_192_000, net=256, activation="relu", learning_rate=1e-4, envs=32, rollout=64, batch=256, epochs=5,
         gamma=0.95, gae_lambda=0.9, clip=0.3, log_std=-2.0,
