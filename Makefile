@@ -3,6 +3,9 @@
 PYTHON ?= python3
 SERVE ?= 1
 PORT ?= 8000
+SCALE ?= tiny
+JOBS ?= 2
+FILMS ?= true
 
 ifeq ($(OS),Windows_NT)
 BIN := .venv/Scripts
@@ -13,12 +16,13 @@ PY := $(BIN)/python
 
 CHAPTERS := $(wildcard book/chapters/*.md)
 TOOLS := $(wildcard book/tools/*.py)
+SCALES := $(patsubst data/config/%.yaml,%,$(wildcard data/config/*.yaml))
 LIBRARY := $(wildcard detden_lite/*.py detden_lite/*/*.py)
 DATA := $(wildcard data/* data/*/*)
 BOOK := $(CHAPTERS) $(TOOLS) $(wildcard book/*.* book/_static/* book/images/* book/viewer/*/*)
 
 .DEFAULT_GOAL := help
-.PHONY: help book test notebooks lab bench lint lock clean
+.PHONY: help book test notebooks lab data durations bench lint lock clean
 
 help: ## List the targets
 	@$(PYTHON) -c "import re; [print(f'make {t:<10} {d}') for t, d in re.findall(r'^(\w+):.*?## (.+)$$', open('Makefile', encoding='utf-8').read(), re.M)]"
@@ -37,6 +41,14 @@ notebooks: .venv/stamp ## Write notebooks/ anew from book/chapters/
 
 lab: .venv/stamp ## Open the notebooks in JupyterLab
 	$(PY) -m jupyter lab --notebook-dir=notebooks
+
+# GOALS takes whatever else Snakemake knows: -n, --unlock, publish.
+data: .venv/stamp ## Make everything in data/ anew, in runs/SCALE (SCALE=tiny, lite, paper; ROWS="hopper-td3 ant-ppo"; JOBS=2; FILMS=false)
+	$(if $(filter-out $(SCALES),$(SCALE)),$(error SCALE=$(SCALE) is unknown; choose one of: $(SCALES)))
+	$(PY) -m snakemake $(GOALS) --snakefile data/Snakefile --configfile data/config/$(SCALE).yaml --directory runs/$(SCALE) --jobs $(JOBS) --config only="$(ROWS)" films=$(FILMS)
+
+durations: .venv/stamp ## Print how long each stage of make data SCALE=lite takes
+	$(PY) -m detden_lite durations
 
 bench: .venv/stamp ## Print the benchmarks
 	$(PY) -c "import pathlib, subprocess, sys; [subprocess.run([sys.executable, str(p)], check=True) for p in sorted(pathlib.Path('tests/benchmarks').glob('*.py'))]"

@@ -1,0 +1,44 @@
+"""All result records of a run as one table, a line each, for a spreadsheet or a data frame."""
+
+import csv
+import io
+from pathlib import Path
+
+from detden_lite import artifacts
+
+COLUMNS = (
+    "row", "attack", "timing", "defense", "n", "mean", "low", "high", "attack_rate",
+    "accuracy", "f1", "false_negative_rate", "mae",
+)  # fmt: skip
+
+
+def collect(root: Path) -> list[dict]:
+    """The records of a run, each as one line: a value for each of ``COLUMNS``.
+
+    ``row`` is "hopper-td3"; ``mean``, ``low`` and ``high`` are of the return; ``mae`` is in the observations' own
+    units. A rate that is not defined (the false negatives where nothing is attacked) is None.
+
+    Raises:
+        ArtifactError: if there is no record, or one is altered.
+    """
+    paths = sorted((Path(root) / "results").glob("*.json"))
+    if not paths:
+        raise artifacts.ArtifactError(f"{Path(root) / 'results'} holds no record; run the evaluate stage first")
+    return [_line(path.name.split(".")[0], artifacts.read_json(path, root)) for path in paths]
+
+
+def write(root: Path) -> Path:
+    """Write ``tables/returns.csv`` of a run."""
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, COLUMNS)
+    writer.writeheader()
+    writer.writerows(collect(root))
+    path = Path(root) / "tables" / "returns.csv"
+    artifacts.write_bytes(path, text.getvalue().encode(), Path(root))
+    return path
+
+
+def _line(row: str, record: dict) -> dict:
+    values = {**record["cell"], **record["estimate"], **record["detector"]}
+    values |= dict(row=row, attack_rate=record["attack_rate"], mae=record["denoiser_mae"])
+    return {column: values[column] for column in COLUMNS}
