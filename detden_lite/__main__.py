@@ -56,6 +56,7 @@ def parser() -> argparse.ArgumentParser:
     add("look", stages.look, "record and film an episode, attacked and not (needs a GL driver)").add_argument(
         "--variant", choices=stages.VARIANTS, default="residual", help="default: %(default)s"
     )
+    add("portrait", stages.portrait, "film a clean episode of the victim (needs a GL driver)")
     add("publish", stages.publish, "copy what is shipped into data/")
     return top
 

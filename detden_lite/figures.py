@@ -12,6 +12,7 @@ from IPython.display import HTML
 from matplotlib.axes import Axes
 from matplotlib_inline.backend_inline import set_matplotlib_formats
 
+from detden_lite.cards import PAPER, Card
 from detden_lite.metrics import Estimate
 from detden_lite.playback import Robot
 from detden_lite.rollout import Episodes
@@ -181,3 +182,21 @@ def returns(axes: Axes, records: Mapping[str, Mapping], paper: Mapping[str, floa
     axes.set(yticks=range(len(records)), yticklabels=records, ylim=(len(records) - 0.5, -0.5), xlabel="return")
     axes.set_xlim(left=min(0, axes.get_xlim()[0]))
     axes.grid(False, axis="y")
+
+
+def learning_curves(axes: Axes, card: Card) -> None:
+    """A victim's learning curves: the chosen seed's in blue with a ring at its snapshot, other seeds' in grey.
+
+    The dashed line is the paper's policy.
+    """
+    for curve in sorted(card.curves, key=lambda curve: curve.seed == card.seed):  # the chosen one on top
+        chosen = curve.seed == card.seed
+        look = dict(color=PALETTE["clean"], linewidth=1.8) if chosen else dict(color="#9a9a9a", linewidth=1.1)
+        axes.plot(curve.steps / 1e6, curve.mean, **look)
+        if chosen:
+            shown = curve.mean[curve.steps == card.step]
+            axes.plot(card.step / 1e6, shown, "o", markersize=9, markerfacecolor="none", markeredgecolor=BLACK)
+    axes.axhline(PAPER[card.task.name, card.algo], color=BLACK, linewidth=1, linestyle=(0, (4, 3)))
+    axes.set_title(card.title, loc="left")
+    axes.set_xlim(0, card.steps / 1e6 * 1.03)
+    axes.set_ylim(bottom=min(0, axes.get_ylim()[0]))

@@ -198,6 +198,17 @@ def look(run: Run, variant: str = "residual", n: int = 16) -> None:
     films.filmstrip(folder / f"{name}-strip.png", run.task, takes, index, seconds=(0.3, 0.6, 0.9, 1.2, 2.0, 3.0))
 
 
+def portrait(run: Run, n: int = 16) -> None:
+    """A film and a still of one clean report episode: of the first n that with the median return; needs a GL driver."""
+    from detden_lite import films  # needs ffmpeg
+
+    clean = rollout(run.victim(), run.task, study.seeds("report", n), steps=run.scale.horizon)
+    index = int(np.argsort(clean.returns, kind="stable")[n // 2])
+    path = run.root / "films" / f"{run.folder.name}-clean"
+    films.film(path.with_suffix(".mp4"), run.task, dict(clean=clean), index, seconds=6.0)
+    films.still(path.with_suffix(".png"), run.task, dict(clean=clean), index, seconds=2.0)
+
+
 def publish(run: Run, data: Path = artifacts.DATA) -> None:
     """Copy what is shipped (models, sidecars, records; no trajectories, no checkpoints) from the run to data/."""
     for path in sorted([*run.folder.glob("*.*"), *(run.root / "results").glob(f"{run.folder.name}.*.json")]):

@@ -1,0 +1,153 @@
+"""The data cards of the victims: what data/ says of each, beside what the paper and others say of theirs."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from detden_lite import artifacts
+from detden_lite.metrics import Estimate
+from detden_lite.scales import ALGORITHMS
+from detden_lite.tasks import TASKS, Task
+
+ROWS = tuple((task, algo) for algo in ALGORITHMS for task in TASKS)  # of the paper's tables
+
+# Table 2 of the paper, column "Pre.": mean clean return of the policies that it attacks, 100 episodes each.
+PAPER = {
+    ("hopper", "td3"): 3_607,
+    ("walker2d", "td3"): 4_719,
+    ("halfcheetah", "td3"): 9_790,
+    ("ant", "td3"): 5_805,
+    ("humanoid", "td3"): 5_531,
+    ("hopper", "ppo"): 3_206,
+    ("walker2d", "ppo"): 4_007,
+    ("halfcheetah", "ppo"): 8_069,
+    ("ant", "ppo"): 5_698,
+    ("humanoid", "ppo"): 4_568,
+}
+
+
+@dataclass(frozen=True)
+class Published:
+    """A mean clean return that others published: on which version of the task, and the key of the reference."""
+
+    mean: float
+    env_id: str
+    reference: str
+
+
+# TD3: the benchmark table of RL Baselines3 Zoo. PPO: the undefended policies ("vanilla PPO", no attack) that the
+# authors of ATLA released; they have no Humanoid, so that one is of their earlier work, SA-PPO. Rounded.
+PUBLISHED = {
+    ("hopper", "td3"): Published(3_606, "Hopper-v3", "raffin2020zoo"),
+    ("walker2d", "td3"): Published(4_718, "Walker2d-v3", "raffin2020zoo"),
+    ("halfcheetah", "td3"): Published(9_656, "HalfCheetah-v3", "raffin2020zoo"),
+    ("ant", "td3"): Published(5_813, "Ant-v3", "raffin2020zoo"),
+    ("humanoid", "td3"): Published(5_567, "Humanoid-v3", "raffin2020zoo"),
+    ("hopper", "ppo"): Published(3_167, "Hopper-v2", "zhang2021robust"),
+    ("walker2d", "ppo"): Published(4_472, "Walker2d-v2", "zhang2021robust"),
+    ("halfcheetah", "ppo"): Published(7_117, "HalfCheetah-v2", "zhang2021robust"),
+    ("ant", "ppo"): Published(5_687, "Ant-v2", "zhang2021robust"),
+    ("humanoid", "ppo"): Published(5_271, "Humanoid-v2", "zhang2020robust"),
+}
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The learning curve of one seed: mean return of the screening episodes at each snapshot."""
+
+    seed: int
+    steps: np.ndarray  # environment steps
+    mean: np.ndarray
+
+
+@dataclass(frozen=True)
+class Card:
+    """What data/ says of a victim."""
+
+    task: Task
+    algo: str
+    returns: np.ndarray  # of the report episodes
+    estimate: Estimate
+    curves: tuple[Curve, ...]  # of every seed that was trained
+    seed: int  # the chosen snapshot's
+    step: int  # the chosen snapshot's, environment steps
+    selection_mean: float  # by which it was chosen
+    recipe: Mapping[str, object]  # hyperparameters of the training
+    config: Mapping[str, object]  # shapes of the networks
+    versions: Mapping[str, str]
+    fit: Mapping[str, float] | None  # of the learned Q-function; None for TD3, which has critics of its own
+
+    @property
+    def name(self) -> str:
+        """How data/ calls it: "hopper-td3"."""
+        return f"{self.task.name}-{self.algo}"
+
+    @property
+    def title(self) -> str:
+        """How the book calls it: "Hopper, TD3"."""
+        return title(self.task.name, self.algo)
+
+    @property
+    def steps(self) -> int:
+        """Environment steps that each seed was trained for; of the longest, if they differ."""
+        return int(max(curve.steps[-1] for curve in self.curves))
+
+
+def title(task: str, algo: str) -> str:
+    """How the book calls a victim: "Hopper, TD3"."""
+    return f"{TASKS[task].env_id.removesuffix('-v5')}, {algo.upper()}"
+
+
+def load_card(task: str, algo: str, root: Path = artifacts.DATA) -> Card:
+    """The card of a shipped victim.
+
+    Raises:
+        ArtifactError: if it is not shipped, altered, or lacks an entry.
+    """
+    path = root / f"{task}-{algo}" / "victim.json"
+    about, critic = artifacts.read_json(path, root), path.with_name("critic.json")
+    try:
+        recipe = {key: value for key, value in about["recipe"].items() if key not in ("task", "seed")}
+        return Card(
+            task=TASKS[task],
+            algo=algo,
+            returns=np.array(about["returns"]),
+            estimate=Estimate(**about["estimate"]),
+            curves=tuple(
+                Curve(curve["seed"], np.array(curve["steps"]), np.array(curve["mean"]))
+                for curve in about["learning_curves"]
+            ),
+            seed=about["recipe"]["seed"],
+            step=about["step"],
+            selection_mean=about["selection_mean"],
+            recipe=recipe,
+            config=about["config"],
+            versions=about["versions"],
+            fit=artifacts.read_json(critic, root)["fit"] if critic.exists() else None,
+        )
+    except (KeyError, TypeError) as error:
+        raise artifacts.ArtifactError(f"{path} is no victim's card ({error!r}); make it with its recipe") from None
+
+
+def load_cards(root: Path = artifacts.DATA) -> dict[tuple[str, str], Card]:
+    """The cards of all victims that are shipped, by (task, algorithm), in the order of ``ROWS``."""
+    return {row: load_card(*row, root) for row in ROWS if (root / "-".join(row) / "victim.json").exists()}
+
+
+def live(obs: np.ndarray, parts: Mapping[str, int]) -> dict[str, tuple[int, int]]:
+    """How many observations of each part change at all.
+
+    Args:
+        obs: ``[rows, obs_dim]``, seen in episodes.
+        parts: how many observations each part has, in their order, ``obs_dim`` in all.
+
+    Returns:
+        For each part how many change, and how many there are.
+    """
+    if sum(parts.values()) != obs.shape[1]:
+        raise ValueError(f"parts: they have {sum(parts.values())} observations in all, and obs has {obs.shape[1]}")
+    changes = np.ptp(obs, axis=0) > 0
+    ends = np.cumsum(list(parts.values()))
+    return {part: (int(changes[end - n : end].sum()), n) for (part, n), end in zip(parts.items(), ends, strict=True)}
