@@ -62,11 +62,11 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Run one stage; what it refuses becomes one line on stderr and the exit status 1."""
+    """Run one stage; what it refuses, or the disk does, becomes one line on stderr and the exit status 1."""
     args = parser().parse_args(argv)
     try:
         run_stage(args)
-    except (ValueError, ArtifactError) as error:
+    except (ValueError, OSError, ArtifactError) as error:
         sys.exit(f"error: {error}")
 
 

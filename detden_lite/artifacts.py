@@ -4,10 +4,11 @@ import hashlib
 import json
 import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+import torch
 from filelock import FileLock
 from safetensors import SafetensorError
 from safetensors.torch import load, save
@@ -29,14 +30,22 @@ class ArtifactError(Exception):
 def write_bytes(path: Path, content: bytes, root: Path = DATA) -> None:
     """Write a file of data/ atomically and note its SHA-256 in the manifest of ``root``.
 
-    Several processes may write at once: the stages of a recipe run side by side.
+    Raises:
+        ArtifactError: if there is no room for it; everything is then as it was.
     """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    _write_all({Path(path): content}, root)
+
+
+def _write_all(files: Mapping[Path, bytes], root: Path) -> None:
+    """Several processes may write at once: the stages of a recipe run side by side."""
+    for path in files:
+        path.parent.mkdir(parents=True, exist_ok=True)
     with FileLock(root / ".manifest.lock"):
-        replace_file(path, content)
-        manifest = _manifest(root) | {path.relative_to(root).as_posix(): hashlib.sha256(content).hexdigest()}
-        replace_file(root / "manifest.json", (json.dumps(manifest, indent=1, sort_keys=True) + "\n").encode())
+        sums = {
+            path.relative_to(root).as_posix(): hashlib.sha256(content).hexdigest() for path, content in files.items()
+        }
+        manifest = json.dumps(_manifest(root) | sums, indent=1, sort_keys=True) + "\n"
+        replace_files({**files, root / "manifest.json": manifest.encode()})
 
 
 def read_bytes(path: Path, root: Path = DATA) -> bytes:
@@ -49,12 +58,22 @@ def read_bytes(path: Path, root: Path = DATA) -> bytes:
     if not path.exists():
         raise ArtifactError(f"{path} is missing; restore it with git, or make it with its recipe (see data/README.md)")
     content = path.read_bytes()
-    expected = _manifest(root).get(path.relative_to(root).as_posix())
+    expected = promised(path, root)
     if expected is None:
         raise ArtifactError(f"{path} is not in {root / 'manifest.json'}; it was not made by a recipe of this project")
     if hashlib.sha256(content).hexdigest() != expected:
         raise ArtifactError(f"{path} is truncated or altered (its SHA-256 is not the manifest's); restore it with git")
     return content
+
+
+def promised(path: Path, root: Path = DATA) -> str | None:
+    """The SHA-256 that the manifest has of a file, which may be lost by now; None if it knows none."""
+    return _manifest(root).get(Path(path).relative_to(root).as_posix())
+
+
+def digest(state: Mapping[str, Tensor]) -> str:
+    """The SHA-256 of the file that ``save_tensors`` would write."""
+    return hashlib.sha256(_bytes(state)).hexdigest()
 
 
 def is_made(path: Path, root: Path = DATA) -> bool:
@@ -68,8 +87,7 @@ def is_made(path: Path, root: Path = DATA) -> bool:
 def save_tensors(path: Path, state: Mapping[str, Tensor], sidecar: Mapping, root: Path = DATA) -> None:
     """Write ``path`` (.safetensors) and beside it ``sidecar`` as JSON, both in the manifest."""
     path = Path(path)
-    write_bytes(path, save({name: tensor.contiguous() for name, tensor in state.items()}), root)
-    write_json(path.with_suffix(".json"), sidecar, root)
+    _write_all({path: _bytes(state), path.with_suffix(".json"): _json(sidecar)}, root)
 
 
 def load_tensors(path: Path, root: Path = DATA) -> tuple[dict[str, Tensor], dict]:
@@ -90,7 +108,7 @@ def load_tensors(path: Path, root: Path = DATA) -> tuple[dict[str, Tensor], dict
 
 def write_json(path: Path, content: Mapping, root: Path = DATA) -> None:
     """Write a JSON file of data/; numbers that are not finite are refused."""
-    write_bytes(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode(), root)
+    write_bytes(path, _json(content), root)
 
 
 def read_json(path: Path, root: Path = DATA) -> dict:
@@ -107,11 +125,16 @@ def save_victim(task: str, algo: str, victim: Victim, sidecar: Mapping, root: Pa
 def load_victim(task: str, algo: str, root: Path = DATA) -> Victim:
     """The shipped victim of a task ("hopper") and an algorithm ("td3"), with its learned Q-function if it has one."""
     folder = root / f"{task}-{algo}"
-    victim, _ = _build(Victim, folder / "victim.safetensors", root)
+    victim, _ = _build(
+        lambda card, state: Victim.from_state(card["config"], state), folder / "victim.safetensors", root
+    )
     if not (folder / "critic.safetensors").exists():
         return victim
-    state, sidecar = load_tensors(folder / "critic.safetensors", root)
-    return victim.with_critic(sidecar["critic"], state, sidecar["activation"])
+    with_critic, _ = _build(
+        lambda card, state: victim.with_critic(card["critic"], state, card["activation"]),
+        folder / "critic.safetensors", root,
+    )  # fmt: skip
+    return with_critic
 
 
 def save_model(task: str, algo: str, name: str, model: GRUVAE, sidecar: Mapping, root: Path = DATA) -> None:
@@ -122,7 +145,10 @@ def save_model(task: str, algo: str, name: str, model: GRUVAE, sidecar: Mapping,
 
 def load_model(task: str, algo: str, name: str, root: Path = DATA) -> tuple[GRUVAE, dict]:
     """A shipped GRU-VAE ("detector-diverse", "denoiser-residual") and its sidecar."""
-    return _build(GRUVAE, root / f"{task}-{algo}" / f"{name}.safetensors", root)
+    return _build(
+        lambda card, state: GRUVAE.from_state(card["config"], state),
+        root / f"{task}-{algo}" / f"{name}.safetensors", root,
+    )  # fmt: skip
 
 
 def load_defense(task: str, algo: str, variant: str = "residual", root: Path = DATA) -> DetectAndDenoise:
@@ -148,11 +174,11 @@ def versions() -> dict[str, str]:
     return found
 
 
-def _build(kind, path: Path, root: Path):
+def _build(make: Callable[[dict, dict], torch.nn.Module], path: Path, root: Path) -> tuple[torch.nn.Module, dict]:
     state, sidecar = load_tensors(path, root)
     try:
-        return kind.from_state(sidecar["config"], state), sidecar
-    except (KeyError, RuntimeError, TypeError) as error:
+        return make(sidecar, state), sidecar
+    except (KeyError, RuntimeError, TypeError, ValueError) as error:
         raise ArtifactError(f"{path} does not fit its sidecar ({error}); make both anew with their recipe") from None
 
 
@@ -164,12 +190,36 @@ def _manifest(root: Path) -> dict[str, str]:
         raise ArtifactError(f"{path} is truncated or altered ({error}); restore it with git") from None
 
 
+def _bytes(state: Mapping[str, Tensor]) -> bytes:
+    return save({name: tensor.contiguous() for name, tensor in state.items()})
+
+
+def _json(content: Mapping) -> bytes:
+    return (json.dumps(content, indent=1, allow_nan=False) + "\n").encode()
+
+
 def replace_file(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all: a kill on the way leaves the old one."""
-    new = path.with_name(path.name + ".new")
+    """Write a file whole or not at all: a kill on the way leaves the old one, and so does a full disk.
+
+    Raises:
+        ArtifactError: if there is no room for it.
+    """
+    replace_files({Path(path): content})
+
+
+def replace_files(files: Mapping[Path, bytes]) -> None:
+    """Write files that belong together, all or none: each is written whole before the first takes its place.
+
+    Raises:
+        ArtifactError: if there is no room for them.
+    """
+    news = {path: path.with_name(path.name + ".new") for path in files}
     try:
-        new.write_bytes(content)
-        os.replace(new, path)
+        for path, content in files.items():
+            news[path].write_bytes(content)
+        for path, new in news.items():
+            os.replace(new, path)
     except OSError as error:
-        new.unlink(missing_ok=True)
+        for new in news.values():
+            new.unlink(missing_ok=True)
         raise ArtifactError(f"{path} could not be written ({error.strerror}); free some space and run again") from None

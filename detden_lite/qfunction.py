@@ -1,7 +1,7 @@
 """Learning the Q-function that a PPO agent lacks, from clean episodes of its own (section 2.2 of the paper)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -126,20 +126,22 @@ def lambda_returns(reward: np.ndarray, q: np.ndarray, mask: np.ndarray, horizon:
 
 
 def fit(net: nn.Module, victim: Victim, episodes: Episodes, horizon: int, recipe: QRecipe) -> Fit:
-    """Compare Q with the discounted returns that followed, where they are known: not shortly before the cut-off."""
-    returns = lambda_returns(
-        episodes.reward, np.zeros_like(episodes.reward), episodes.mask, horizon + 1,
-        QRecipe(gamma=recipe.gamma, lam=1.0),
-    )  # fmt: skip
+    """Compare Q with the discounted returns that followed, where they are known: not shortly before the cut-off.
+
+    Beyond the cut-off the last Q stands for the rest, which weighs little: without any, all returns would grow with the
+    time that is left, of which an observation knows nothing.
+    """
+    q, quiet = (_evaluate(net, _inputs(victim, episodes, explored)).numpy() for explored in (True, False))
+    returns = lambda_returns(episodes.reward, q, episodes.mask, horizon, replace(recipe, lam=1.0))
     ends_in_a_fall = episodes.lengths < horizon
     left = horizon - np.arange(len(returns))[:, None]
     usable = episodes.mask & (ends_in_a_fall | (left > min(SETTLED, horizon // 2)))
-    q = _evaluate(net, _inputs(victim, episodes)).numpy()[usable]
-    quiet = _evaluate(net, _inputs(victim, episodes, explored=False)).numpy()[usable]
-    found = returns[usable]
+    q, quiet, found = q[usable], quiet[usable], returns[usable]
+    predicted, gained = q - quiet, found - quiet
+    varied = predicted.std() > 0 and gained.std() > 0
     return Fit(
-        explained_variance=float(1 - np.var(found - q) / np.var(found)),
-        action_correlation=float(np.corrcoef(q - quiet, found - quiet)[0, 1]),
+        explained_variance=float(1 - np.var(found - q) / np.var(found)) if np.var(found) > 0 else 0.0,
+        action_correlation=float(np.corrcoef(predicted, gained)[0, 1]) if varied else 0.0,
         steps=int(usable.sum()),
         episodes=len(episodes.seeds),
     )

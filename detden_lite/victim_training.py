@@ -12,7 +12,7 @@ import numpy as np
 from safetensors.torch import save
 from tqdm import tqdm
 
-from detden_lite.artifacts import replace_file
+from detden_lite.artifacts import ArtifactError, replace_file
 from detden_lite.draws import derived_seed
 from detden_lite.tasks import Task
 from detden_lite.victims import Victim
@@ -199,6 +199,7 @@ def train_victim(
 
     Raises:
         ValueError: if ``folder`` holds a run of another recipe.
+        ArtifactError: if there is no room for a snapshot or a checkpoint; the last checkpoint is then as it was.
     """
     os.environ.setdefault("XLA_FLAGS", XLA_FLAGS)
     folder = Path(folder)
@@ -248,12 +249,17 @@ def _claim(folder: Path, description: dict) -> None:
 
 
 def _save_checkpoint(recipe: TD3Recipe | PPORecipe, model, checkpoint: Path, segments: int) -> None:
-    new = checkpoint.with_name("checkpoint.new")
+    new, old = (checkpoint.with_name(f"checkpoint.{name}") for name in ("new", "old"))
     shutil.rmtree(new, ignore_errors=True)
-    new.mkdir()
-    recipe.save(model, new)
-    (new / "segments.json").write_text(json.dumps(segments))
-    old = checkpoint.with_name("checkpoint.old")
+    try:
+        new.mkdir()
+        recipe.save(model, new)
+        (new / "segments.json").write_text(json.dumps(segments))
+    except OSError as error:
+        shutil.rmtree(new, ignore_errors=True)
+        raise ArtifactError(
+            f"{checkpoint} could not be written ({error.strerror}); free some space and run again"
+        ) from None
     if checkpoint.exists():
         shutil.rmtree(old, ignore_errors=True)
         checkpoint.rename(old)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+import gymnasium
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -123,7 +124,12 @@ class Victim(nn.Module):
             critic: layer sizes, from obs_dim + action_dim to 1.
             state: the state dict of ``mlp(critic, activation)``; see ``detden_lite.qfunction``.
             activation: of its hidden layers.
+
+        Raises:
+            ValueError: if the sizes are not those of a Q-function of this victim.
         """
+        if (critic[0], critic[-1]) != (self.obs_dim + self.action_dim, 1):
+            raise ValueError(f"critic: {critic} must lead from {self.obs_dim + self.action_dim} numbers to 1")
         own = {name: tensor for name, tensor in self.state_dict().items() if not name.startswith("critics.")}
         config = self.config | dict(critic=critic, n_critics=1, critic_activation=activation)
         return Victim.from_state(config, own | {f"critics.0.{name}": tensor for name, tensor in state.items()})
@@ -145,12 +151,20 @@ class Victim(nn.Module):
             vecnormalize: the ``VecNormalize`` it was trained in, if any; it becomes the victim's first layer.
 
         Raises:
-            ValueError: if the model is of another kind, its networks are no plain MLPs, or the copy acts differently.
+            ValueError: if the model is of another kind, its networks are no plain MLPs, its VecNormalize was forgotten,
+                or the copy acts differently.
         """
         kinds = {kind.__name__ for kind in type(getattr(model, "policy", None)).__mro__}
         name = type(model).__name__
         if not kinds & {"TD3Policy", "ActorCriticPolicy", "PPOPolicy"}:
             raise ValueError(f"model: {name} is neither a TD3 nor a PPO model with an MLP policy")
+        for what, space in (("observations", model.observation_space), ("actions", model.action_space)):
+            if not isinstance(space, gymnasium.spaces.Box) or len(space.shape) != 1:
+                raise ValueError(f"model: the {what} of this {name} must be vectors (a Box of one axis), not {space}")
+        if getattr(model, "use_sde", False):
+            raise ValueError(f"model: this {name} explores with gSDE, so that no one Sigma describes its actions")
+        if vecnormalize is None and getattr(model.get_vec_normalize_env(), "norm_obs", False):
+            raise ValueError(f"vecnormalize: this {name} saw normalised observations; give its VecNormalize too")
         try:
             in_jax = hasattr(model.policy, "actor_state")
             if "TD3Policy" in kinds:
