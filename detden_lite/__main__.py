@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from detden_lite import stages
+from detden_lite import durations, stages, tables
 from detden_lite.artifacts import ArtifactError
 from detden_lite.scales import ALGORITHMS, SCALES
 from detden_lite.tasks import TASKS
@@ -18,20 +18,20 @@ def parser() -> argparse.ArgumentParser:
         description="Train, attack and defend a victim, stage by stage. A stage makes what is missing: after an "
         "interruption, run it again and it goes on.",
     )
-    common = argparse.ArgumentParser(add_help=False)
-    common.add_argument("--task", choices=TASKS, default="hopper", help="default: %(default)s")
-    common.add_argument(
+    victim, where = argparse.ArgumentParser(add_help=False), argparse.ArgumentParser(add_help=False)
+    victim.add_argument("--task", choices=TASKS, default="hopper", help="default: %(default)s")
+    victim.add_argument(
         "--algo", choices=ALGORITHMS, default="td3", help="the victim's algorithm; default: %(default)s"
     )
-    common.add_argument(
+    where.add_argument(
         "--scale", choices=SCALES, default="tiny",
         help="seconds for a try, hours for what is shipped, days for the paper's sizes; default: %(default)s",
     )  # fmt: skip
-    common.add_argument("--root", type=Path, help="folder of the run; default: runs/SCALE")
+    where.add_argument("--root", type=Path, help="folder of the run; default: runs/SCALE")
     stage = top.add_subparsers(dest="stage", required=True, metavar="STAGE")
 
-    def add(name: str, function: Callable, text: str) -> argparse.ArgumentParser:
-        added = stage.add_parser(name, parents=[common], help=text, description=text)
+    def add(name: str, function: Callable, text: str, parents=(victim, where)) -> argparse.ArgumentParser:
+        added = stage.add_parser(name, parents=parents, help=text, description=text)
         added.set_defaults(function=function)
         return added
 
@@ -58,6 +58,10 @@ def parser() -> argparse.ArgumentParser:
     )
     add("portrait", stages.portrait, "film a clean episode of the victim (needs a GL driver)")
     add("publish", stages.publish, "copy what is shipped into data/")
+    add("table", tables.write, "gather the records of all victims in one table", parents=[where])
+    add("durations", durations.show, "print how long each stage takes", parents=[where]).add_argument(
+        "--store", action="store_true", help="measure it in the run first, and store it in data/"
+    )
     return top
 
 
@@ -73,9 +77,12 @@ def main(argv: list[str] | None = None) -> None:
 def run_stage(args: argparse.Namespace) -> None:
     """Run the stage that was parsed; the options that are its own are its function's arguments."""
     options = vars(args).copy()
-    root, task, algo, scale, function = (options.pop(key) for key in ("root", "task", "algo", "scale", "function"))
-    del options["stage"]
-    function(stages.Run.of(root or Path("runs") / scale, task, algo, scale), **options)
+    function, scale, root, _ = (options.pop(key) for key in ("function", "scale", "root", "stage"))
+    root = root or Path("runs") / scale
+    if "task" in options:
+        function(stages.Run.of(root, options.pop("task"), options.pop("algo"), scale), **options)
+    else:
+        function(root, **options)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """The folder of a run: which victim at which scale, and the trajectories that lie in it, in files of a batch each."""
 
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,6 +57,19 @@ class Run:
     @property
     def budget(self) -> Budget:
         return Budget(self.task.epsilon)
+
+    def forget_others(self, victim: Victim) -> None:
+        """If the victim here is, or was, not this one: remove what was made of it, all but the victims' trainings."""
+        known = artifacts.promised(self.folder / "victim.safetensors", self.root)
+        if known in (None, artifacts.digest(victim.state_dict())):
+            return
+        for path in (self.root / "results").glob(f"{self.folder.name}.*"):
+            path.unlink()
+        for path in [*self.folder.glob("*"), *(self.folder / "checkpoints").glob("*.ckpt")]:
+            if path.is_file():
+                path.unlink()
+            elif path.name != "checkpoints":
+                shutil.rmtree(path)
 
     def victim(self) -> Victim:
         return artifacts.load_victim(self.task.name, self.algo, self.root)

@@ -26,7 +26,8 @@ def select_victim(run: Run) -> None:
     """Choose among all snapshots of all seeds, and ship the chosen one with its evaluation on fresh episodes.
 
     Every snapshot plays 5 screening episodes (the learning curve); the ten best of these play selection episodes; the
-    best of those is shipped, and evaluated once on the report's episodes.
+    best of those is shipped, and evaluated once on the report's episodes. If another was shipped before, what was made
+    of that one is removed.
     """
     rows, curves = [], []
     for folder in sorted((run.folder / "checkpoints").glob("victim-*")):
@@ -59,6 +60,7 @@ def select_victim(run: Run) -> None:
         learning_curves=curves,
     )
     victim = Victim.from_state(chosen["config"], load_file(chosen["path"]))
+    run.forget_others(victim)
     artifacts.save_victim(run.task.name, run.algo, victim, sidecar, run.root)
 
 
