@@ -222,10 +222,12 @@ def _from_sb3_td3(model) -> Victim:
 
 
 def _dense(params: Mapping) -> list[tuple[Tensor, Tensor]]:
-    """Kernels and biases of a flax MLP, in order."""
+    """Kernels and biases of a flax MLP, in order; a KeyError for layers of another kind."""
     if "Dense_0" not in params:  # flax wraps the layers in modules of its own
         return _dense(next(iter(params.values())))
     names = sorted((name for name in params if name.startswith("Dense_")), key=lambda name: int(name.split("_")[1]))
+    if others := params.keys() - {*names, "log_std"}:
+        raise KeyError(*sorted(others))
     return [tuple(torch.tensor(np.asarray(params[n][k])) for k in ("kernel", "bias")) for n in names]
 
 
