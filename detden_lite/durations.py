@@ -12,7 +12,7 @@ STAGES = (
     "victim", "select", "qfunction", "trajectories", "augmentation", "detector", "denoiser", "adversary",
     "evaluation", "look", "portrait",
 )  # fmt: skip
-RECORD = artifacts.DATA / "durations.json"
+RECORD = "durations.json"  # in data/
 
 
 def measure(root: Path) -> dict:
@@ -43,11 +43,11 @@ def measure(root: Path) -> dict:
     return dict(run=Path(root).resolve().name, machine=machine, rows=rows, versions=artifacts.versions())
 
 
-def show(root: Path, store: bool = False) -> None:
+def show(root: Path, store: bool = False, data: Path = artifacts.DATA) -> None:
     """Print the stored record as a table; before that, if asked to, measure a run and store what was found."""
     if store:
-        artifacts.write_json(RECORD, measure(root))
-    lines = table(artifacts.read_json(RECORD))
+        artifacts.write_json(data / RECORD, measure(root), data)
+    lines = table(artifacts.read_json(data / RECORD, data))
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     for line in lines:
         print("  ".join(f"{cell:>{width}}" for cell, width in zip(line, widths, strict=True)))

@@ -1,0 +1,69 @@
+"""The graph of the recipe's rules, as Snakemake itself tells it, drawn without Graphviz."""
+
+import re
+import subprocess
+import sys
+import tempfile
+from itertools import pairwise
+from pathlib import Path
+
+import networkx as nx
+import numpy as np
+from matplotlib.axes import Axes
+
+from detden_lite import figures
+
+DATA = Path(__file__).resolve().parents[2] / "data"
+
+
+def rule_graph(scale: str = "lite") -> nx.DiGraph:
+    """The rules that lead to rule ``all``, an edge from each to every rule that needs its files."""
+    with tempfile.TemporaryDirectory() as folder:
+        printed = subprocess.run(
+            [
+                *(sys.executable, "-m", "snakemake", "--rulegraph", "--directory", folder),
+                *("--snakefile", DATA / "Snakefile", "--configfile", DATA / "config" / f"{scale}.yaml"),
+            ],
+            check=True, capture_output=True, text=True,
+        ).stdout  # fmt: skip
+    names = dict(re.findall(r'^\s*(\d+)\[label = "(\w+)"', printed, re.M))
+    edges = re.findall(r"^\s*(\d+) -> (\d+)", printed, re.M)
+    graph = nx.DiGraph([(names[tail], names[head]) for tail, head in edges])
+    # "all" asks for every file by name; the rules that nothing else waits for say enough.
+    graph.remove_edges_from([(rule, "all") for rule in graph if set(graph[rule]) > {"all"}])
+    return graph
+
+
+def draw(axes: Axes, graph: nx.DiGraph) -> None:
+    """Draw the graph from top to bottom, each rule just above the first that waits for it."""
+    levels = [list(rules) for rules in nx.topological_generations(graph.reverse())]
+    level = {rule: height for height, rules in enumerate(levels) for rule in rules}
+    routes = []
+    for tail, head in graph.edges:  # a long edge has a place of its own on each level that it passes
+        between = [(tail, head, height) for height in range(level[head] + 1, level[tail])]
+        for height, via in zip(range(level[head] + 1, level[tail]), between, strict=True):
+            levels[height].append(via)
+        routes.append([head, *between, tail])
+    places = _places(levels, nx.Graph(pair for route in routes for pair in pairwise(route)))
+    for route in routes:
+        x, y = zip(*(places[stop] for stop in route), strict=True)
+        axes.plot(x, y, color=figures.GREY, linewidth=1.3, zorder=1)
+        arrow = dict(arrowstyle="-|>", color=figures.GREY, shrinkA=0, shrinkB=13, linewidth=1.3)
+        axes.annotate("", places[route[0]], places[route[1]], arrowprops=arrow)
+    for rule in graph:
+        box = dict(boxstyle="round,pad=0.45", facecolor="white", edgecolor=figures.BLUE, linewidth=1.4)
+        axes.text(*places[rule], rule, ha="center", va="center", bbox=box)
+    axes.set(xlim=(-2.3, 2.3), ylim=(-0.5, len(levels) - 0.5))
+    axes.axis("off")
+
+
+def _places(levels: list[list], neighbours: nx.Graph) -> dict:
+    """Places in which few edges cross: on each level in the order of the middle of what is below, and then above."""
+    places = {}
+    for sweep in range(9):
+        for height, stops in enumerate(levels) if sweep % 2 == 0 else reversed(list(enumerate(levels))):
+            middle = {stop: np.mean([places[n][0] for n in neighbours[stop] if n in places] or [0]) for stop in stops}
+            stops.sort(key=lambda stop: (middle[stop], str(stop)))
+            for i, stop in enumerate(stops):
+                places[stop] = (i - (len(stops) - 1) / 2, height)
+    return places

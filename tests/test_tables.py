@@ -1,0 +1,35 @@
+import csv
+import shutil
+
+import pytest
+
+from detden_lite import artifacts, tables
+from detden_lite.artifacts import DATA, ArtifactError
+
+
+def test_the_table_has_a_line_for_each_record_and_says_what_it_says(tmp_path):
+    shutil.copytree(DATA / "results", tmp_path / "results")
+    shutil.copy(DATA / "manifest.json", tmp_path)
+    with tables.write(tmp_path).open(newline="") as file:
+        lines = {
+            ".".join(line[key] for key in ("row", "attack", "timing", "defense")): line for line in csv.DictReader(file)
+        }
+    assert set(lines) == {path.stem for path in (DATA / "results").glob("*.json")}
+    for name, line in lines.items():
+        record = artifacts.load_record(name)
+        assert float(line["mean"]) == record["estimate"]["mean"] and int(line["n"]) == len(record["returns"])
+        for column, value in (
+            ("accuracy", record["detector"]["accuracy"]), ("f1", record["detector"]["f1"]),
+            ("mae", record["denoiser_mae"]), ("attack_rate", record["attack_rate"]),
+        ):  # fmt: skip
+            assert line[column] == ("" if value is None else str(value)), (name, column)
+
+
+def test_a_run_without_records_and_one_that_was_altered_are_refused(tmp_path):
+    with pytest.raises(ArtifactError, match="holds no record; run the evaluate stage first"):
+        tables.write(tmp_path)
+    artifacts.write_json(tmp_path / "results" / "hopper-td3.none.always.none.json", {}, tmp_path)
+    (tmp_path / "results" / "hopper-td3.none.always.none.json").write_text('{"cell": {}}')
+    with pytest.raises(ArtifactError, match="truncated or altered"):
+        tables.write(tmp_path)
+    assert not (tmp_path / "tables").exists()
