@@ -231,11 +231,20 @@ def _dense(params: Mapping) -> list[tuple[Tensor, Tensor]]:
     return [tuple(torch.tensor(np.asarray(params[n][k])) for k in ("kernel", "bias")) for n in names]
 
 
+def _jax_activation(function) -> str:
+    """By what it does: a function of a model that was loaded from a file may have lost its name."""
+    x = torch.linspace(-3, 3, 7)
+    names = [name for name, kind in ACTIVATIONS.items() if np.allclose(function(x.numpy()), kind()(x), atol=1e-4)]
+    if not names:
+        raise ValueError("model: its hidden layers must be all relu or all tanh")
+    return names[0]
+
+
 def _from_sbx_td3(model) -> Victim:
     actor = [(kernel.T, bias) for kernel, bias in _dense(model.policy.actor_state.params)]
     both = _dense(model.policy.qf_state.params)
     critics = [[(kernel[i].T, bias[i]) for kernel, bias in both] for i in range(len(both[0][0]))]
-    return _deterministic(actor, critics, model.policy.activation_fn.__name__)
+    return _deterministic(actor, critics, _jax_activation(model.policy.activation_fn))
 
 
 def _gaussian(actor, value, activation: str, log_std: Tensor) -> Victim:
@@ -259,4 +268,4 @@ def _from_sbx_ppo(model) -> Victim:
         [(kernel.T, bias) for kernel, bias in _dense(state.params)] for state in (policy.actor_state, policy.vf_state)
     )
     log_std = torch.tensor(np.asarray(policy.actor_state.params["params"]["log_std"]))
-    return _gaussian(actor, value, policy.activation_fn.__name__, log_std)
+    return _gaussian(actor, value, _jax_activation(model.policy.activation_fn), log_std)
