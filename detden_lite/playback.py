@@ -7,11 +7,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import gymnasium
 import mujoco
 import numpy as np
 
 from detden_lite.rollout import Episodes
+from detden_lite.simulator import make
 from detden_lite.tasks import Task
 
 # Okabe and Ito's colours, a little lightened for a dark ground: told apart with any colour vision.
@@ -32,7 +32,7 @@ class Robot:
     @classmethod
     def of(cls, task: Task) -> "Robot":
         """The robot of a task, from gymnasium's own model of it."""
-        env = gymnasium.make(task.env_id).unwrapped
+        env = make(task.env_id).unwrapped
         names, hidden = (
             _observation_names(env.model, env.observation_structure),
             env.observation_structure["skipped_qpos"],

@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from detden_lite.artifacts import ArtifactError, replace_file
 from detden_lite.draws import derived_seed
+from detden_lite.simulator import make
 from detden_lite.tasks import Task
 from detden_lite.victims import Victim
 
@@ -236,7 +237,7 @@ def train_victim(
 def _make(task: Task) -> gymnasium.Env:
     # Networks compute in float32; a replay buffer of float64 would be twice as large for nothing.
     space = gymnasium.spaces.Box(-np.inf, np.inf, (task.obs_dim,), np.float32)
-    env = gymnasium.make(task.env_id)
+    env = make(task.env_id)
     return gymnasium.wrappers.TransformObservation(env, lambda obs: obs.astype(np.float32), space)
 
 
