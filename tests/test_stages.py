@@ -2,30 +2,37 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from builders import HOPPER
+from builders import HOPPER, normal
 from safetensors.torch import load_file, save_file
 
-from detden_lite import artifacts, stages
+from detden_lite import artifacts, runs, stages
 from detden_lite.__main__ import main
 from detden_lite.budget import Budget
 from detden_lite.defense import Detector
 from detden_lite.defense.detector import calibrate, clean_scores
 from detden_lite.rollout import rollout
+from detden_lite.runs import load_shard
 from detden_lite.study import seeds
 from detden_lite.victims import Victim
 
 ORDER = ["victim", "select", "collect", "augment", "detector", "denoiser", "adversary", "evaluate"]
 
 
-def run_stage(root: Path, *stage: str) -> None:
-    main([*stage, "--task", "hopper", "--algo", "td3", "--scale", "tiny", "--root", str(root)])
+PPO_ORDER = [*ORDER[:2], "qfunction", *ORDER[2:]]
+
+
+def run_stage(root: Path, *stage: str, algo: str = "td3") -> None:
+    main([*stage, "--task", "hopper", "--algo", algo, "--scale", "tiny", "--root", str(root)])
 
 
 def contents(root: Path) -> dict[str, bytes]:
@@ -34,16 +41,26 @@ def contents(root: Path) -> dict[str, bytes]:
     return {path.relative_to(root).as_posix(): path.read_bytes() for path in files}
 
 
-@pytest.fixture(scope="module")
-def tiny(tmp_path_factory) -> Path:
-    """The whole recipe at the tiny scale, every stage in its order; and each once more, which changes nothing."""
-    root = tmp_path_factory.mktemp("tiny")
-    for stage in ORDER:
-        run_stage(root, stage)
+def run_recipe(root: Path, order: list[str], algo: str) -> Path:
+    """Every stage in its order; and each once more, which changes nothing."""
+    for stage in order:
+        run_stage(root, stage, algo=algo)
         before = contents(root)
-        run_stage(root, stage)
+        run_stage(root, stage, algo=algo)
         assert contents(root) == before, stage
     return root
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory) -> Path:
+    """The whole recipe of a TD3 victim at the tiny scale."""
+    return run_recipe(tmp_path_factory.mktemp("tiny"), ORDER, "td3")
+
+
+@pytest.fixture(scope="module")
+def tiny_ppo(tmp_path_factory) -> Path:
+    """The whole recipe of a PPO victim, whose Q-function is learned, at the tiny scale."""
+    return run_recipe(tmp_path_factory.mktemp("tiny-ppo"), PPO_ORDER, "ppo")
 
 
 @pytest.fixture
@@ -55,16 +72,52 @@ def the_run(root: Path) -> stages.Run:
     return stages.Run.of(root, "hopper", "td3", "tiny")
 
 
-def test_the_recipe_makes_everything_that_the_library_loads(tiny):
-    victim = artifacts.load_victim("hopper", "td3", tiny)
-    defense = artifacts.load_defense("hopper", "td3", "residual", tiny)
+@pytest.mark.parametrize("algo", ["td3", "ppo"])
+def test_the_recipe_makes_everything_that_the_library_loads(request, algo):
+    tiny = request.getfixturevalue("tiny" if algo == "td3" else "tiny_ppo")
+    victim = artifacts.load_victim("hopper", algo, tiny)
+    defense = artifacts.load_defense("hopper", algo, "residual", tiny)
     assert victim.obs_dim == defense.detector.model.obs_dim == 11 and defense.denoiser.model.config["residual"]
     for cell in stages.cells(["residual"]):
-        record = artifacts.load_record(cell.record_name("hopper", "td3"), tiny)
+        record = artifacts.load_record(cell.record_name("hopper", algo), tiny)
         assert len(record["returns"]) == 4 and record["estimate"]["mean"] == pytest.approx(np.mean(record["returns"]))
     assert set(json.loads((tiny / "manifest.json").read_text())) | {"manifest.json"} >= {
         name for name in contents(tiny) if "checkpoints" not in name and not name.startswith(".")
     }
+
+
+def test_a_ppo_victim_is_shipped_with_its_normaliser_and_the_q_function_that_it_learned(tiny_ppo):
+    victim, obs = artifacts.load_victim("hopper", "ppo", tiny_ppo), normal(5, 11)
+    assert victim.action_std is not None and (victim.obs_std != 1).all()
+    assert victim.q(obs, victim(obs)).shape == (5,) and not torch.equal(victim.q(obs, victim(obs)), victim.value(obs))
+    card = artifacts.read_json(tiny_ppo / "hopper-ppo" / "critic.json", tiny_ppo)
+    assert card["fit"]["episodes"] == 2 and card["fit"]["steps"] > 0  # one in eight of sixteen
+    assert card["critic"] == [14, 32, 32, 1] and card["recipe"]["episodes"] == 16
+    assert artifacts.read_json(tiny_ppo / "hopper-ppo" / "victim.json", tiny_ppo)["recipe"]["gae_lambda"] == 0.95
+
+
+def test_the_timing_is_tuned_on_the_value_network_and_not_on_the_learned_q(tiny_ppo, tmp_path):
+    """V of a PPO victim is its own, whether a Q was learned or not."""
+    copy = shutil.copytree(tiny_ppo, tmp_path / "copy")
+    before = (copy / "hopper-ppo" / "timing.json").read_bytes()
+    for name in ("timing.json", "critic.json", "critic.safetensors"):
+        (copy / "hopper-ppo" / name).unlink()
+    run_stage(copy, "adversary", algo="ppo")
+    assert (copy / "hopper-ppo" / "timing.json").read_bytes() == before
+
+
+def test_a_q_function_that_is_lost_is_learned_anew_and_the_same(tiny_ppo, tmp_path):
+    copy = shutil.copytree(tiny_ppo, tmp_path / "copy")
+    (copy / "hopper-ppo" / "critic.safetensors").unlink()
+    run_stage(copy, "qfunction", algo="ppo")
+    assert contents(copy) == contents(tiny_ppo)
+
+
+def test_a_td3_victim_needs_no_q_function(tiny):
+    before = contents(tiny)
+    with pytest.raises(SystemExit, match="error: a TD3 victim has critics of its own; the qfunction stage is for PPO"):
+        run_stage(tiny, "qfunction")
+    assert contents(tiny) == before
 
 
 def test_the_shipped_victim_is_the_best_in_selection(tiny):
@@ -177,6 +230,93 @@ def test_a_stage_out_of_order_says_what_is_missing(tiny, tmp_path, stage, made, 
         run_stage(tmp_path, stage)
 
 
+INTERRUPTED = """
+import sys
+from dataclasses import replace
+from pathlib import Path
+from detden_lite import runs, stages
+
+runs.SHARD = 2
+run = runs.Run.of(Path(sys.argv[1]), "hopper", "td3", "tiny")
+stages.collect(replace(run, scale=replace(run.scale, trajectories=60)), "diverse")
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
+def test_a_kill_while_trajectories_are_collected_loses_no_whole_file(tiny, tmp_path, monkeypatch):
+    monkeypatch.setattr(runs, "SHARD", 2)
+    killed, uninterrupted = (runs.Run.of(tmp_path / name, "hopper", "td3", "tiny") for name in ("killed", "whole"))
+    for run in (killed, uninterrupted):
+        victim = artifacts.load_victim("hopper", "td3", tiny)
+        artifacts.save_victim("hopper", "td3", victim, {}, run.root)
+    process = subprocess.Popen(
+        [sys.executable, "-c", INTERRUPTED, str(killed.root)], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL
+    )
+    while process.poll() is None and "/00004.json" not in (killed.root / "manifest.json").read_text():
+        time.sleep(0.002)
+    process.send_signal(signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+    made = sorted((killed.folder / "normal-diverse").glob("*.safetensors"))
+    whole = [path for path in made if artifacts.is_made(path, killed.root)]
+    assert 3 <= len(whole) < 30 and len(made) - len(whole) <= 1  # one at most was in the making
+    assert all(len(load_shard(killed, path)) == 2 for path in whole)
+    before = {path: path.stat().st_mtime_ns for path in whole}
+    for run in (killed, uninterrupted):
+        stages.collect(replace(run, scale=replace(run.scale, trajectories=60)), "diverse")
+    assert {path: path.stat().st_mtime_ns for path in whole} == before  # these were not made again
+    assert contents(killed.root) == contents(uninterrupted.root)
+
+
+FULL_DISK = """
+import resource, signal, sys
+from detden_lite.__main__ import main
+
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (900, resource.RLIM_INFINITY))  # bytes: no file may be larger
+for stage in sys.argv[2:]:
+    try:
+        main([stage, "--root", sys.argv[1]])
+    except SystemExit as stop:
+        print(stage, stop.code)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such quota")
+def test_a_full_disk_stops_every_stage_with_one_line_and_leaves_what_there_was(tiny, copy):
+    """For each stage something is missing; but ``select`` would replace what is there."""
+    folder = copy / "hopper-td3"
+    lost = dict(
+        collect=folder / "calibration" / "00000.safetensors",
+        detector=folder / "checkpoints" / "detector-diverse.ckpt",
+        denoiser=folder / "checkpoints" / "denoiser-residual.ckpt",
+        evaluate=copy / "results" / "hopper-td3.none.always.none.json",
+    )
+    for path in lost.values():
+        path.unlink()
+    before = contents(copy)
+    order = ["select", *lost]
+    result = subprocess.run([sys.executable, "-c", FULL_DISK, str(copy), *order], capture_output=True, text=True)
+    assert result.returncode == 0 and "Traceback" not in result.stderr and "ignored" not in result.stderr
+    lines = dict(line.split(" ", 1) for line in result.stdout.splitlines())
+    files = dict(select="victim.safetensors") | {stage: path.name for stage, path in lost.items()}
+    assert list(lines) == order
+    for stage, line in lines.items():
+        assert re.fullmatch(rf"error: .*{files[stage]}.* could not be written \(.+\); free some space.*", line)
+    assert contents(copy) == before
+    for stage in lost:
+        run_stage(copy, stage)
+    assert set(contents(copy)) == set(contents(tiny))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such quota")
+def test_what_the_disk_refuses_is_one_line_and_the_status_1(tmp_path):
+    """Not only a file of ours that is too large: here a folder cannot be made where a file stands."""
+    (tmp_path / "hopper-td3").write_text("in the way")
+    result = command_line("victim", "--root", str(tmp_path))
+    assert result.returncode == 1 and result.stderr.count("\n") == 1
+    assert result.stderr.startswith("error: ") and "hopper-td3" in result.stderr
+
+
 def command_line(*arguments: str, data: Path | None = None) -> subprocess.CompletedProcess:
     environment = dict(os.environ) | (dict(DETDEN_DATA=str(data)) if data else {})
     return subprocess.run(
@@ -205,7 +345,7 @@ def test_help_lists_the_stages_in_their_order(capsys):
         main(["--help"])
     assert stop.value.code == 0
     printed = capsys.readouterr().out
-    places = [re.search(rf"\n    {stage}\s", printed).start() for stage in ORDER]
+    places = [re.search(rf"\n    {stage}\s", printed).start() for stage in PPO_ORDER]
     assert places == sorted(places)
 
 
