@@ -1,6 +1,7 @@
 import json
 import os
 import pickle
+import re
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -11,6 +12,7 @@ from builders import make_gruvae, make_victim, normal
 
 from detden_lite import artifacts
 from detden_lite.artifacts import ArtifactError
+from detden_lite.victims import Victim, mlp
 
 
 @pytest.fixture
@@ -123,6 +125,128 @@ def test_made_is_what_is_there_with_its_sidecar_as_the_manifest_has_it(root):
     truncate(record)
     assert not artifacts.is_made(victim, root) and not artifacts.is_made(record, root)
     assert not artifacts.is_made(root / "results" / "other.json", root)
+
+
+CRITIC = [14, 8, 1]
+
+
+@pytest.fixture
+def ppo(tmp_path) -> Victim:
+    """A shipped PPO victim with a critic that was learned and shipped afterwards, and the victim as it was."""
+    victim = make_victim(gaussian=True)
+    artifacts.save_victim("hopper", "ppo", victim, {}, tmp_path)
+    artifacts.save_tensors(tmp_path / "hopper-ppo" / "critic.safetensors", critic().state_dict(), CARD, tmp_path)
+    return victim
+
+
+CARD = dict(critic=CRITIC, activation="relu")
+
+
+def critic():
+    torch.manual_seed(4)
+    return mlp(CRITIC)
+
+
+def test_a_learned_critic_comes_with_its_victim(tmp_path, ppo):
+    loaded, obs, action = artifacts.load_victim("hopper", "ppo", tmp_path), normal(6, 11), normal(6, 3, seed=1)
+    assert torch.equal(loaded.q(obs, action), critic()(loaded.critic_input(obs, action)).squeeze(-1))
+    for name in ("forward", "mean", "value"):  # V is the value network's still
+        assert torch.equal(getattr(loaded, name)(obs), getattr(ppo, name)(obs))
+    (gradient,) = torch.autograd.grad(loaded.q(obs, action.requires_grad_()).sum(), action)
+    assert (gradient != 0).any(-1).all()
+    (tmp_path / "hopper-ppo" / "critic.safetensors").unlink()
+    with pytest.raises(ValueError, match="no Q-function"):
+        artifacts.load_victim("hopper", "ppo", tmp_path).q(obs, action)
+
+
+@pytest.mark.parametrize("harm", [truncate, alter, replace_by_pickle])
+@pytest.mark.parametrize("name", ["critic.safetensors", "critic.json"])
+def test_a_harmed_critic_is_refused_by_name(tmp_path, ppo, harm, name):
+    harm(tmp_path / "hopper-ppo" / name)
+    with pytest.raises(ArtifactError, match=name):
+        artifacts.load_victim("hopper", "ppo", tmp_path)
+
+
+@pytest.mark.parametrize(
+    "card",
+    [{}, dict(CARD, critic=[14, 9, 1]), dict(CARD, critic=[11, 8, 1]), dict(CARD, activation="elu")],
+)
+def test_a_critic_that_does_not_fit_is_refused(tmp_path, ppo, card):
+    artifacts.write_json(tmp_path / "hopper-ppo" / "critic.json", card, tmp_path)
+    with pytest.raises(ArtifactError, match="critic.safetensors does not fit its sidecar"):
+        artifacts.load_victim("hopper", "ppo", tmp_path)
+
+
+def test_weights_whose_sidecar_cannot_be_written_are_not_replaced(root):
+    path = root / "hopper-td3" / "victim.safetensors"
+    before = everything(root)
+    with pytest.raises(ValueError):
+        artifacts.save_tensors(path, make_victim(seed=9).state_dict(), dict(mean=float("nan")), root)
+    assert everything(root) == before
+
+
+def everything(root) -> dict[str, bytes]:
+    return {path.relative_to(root).as_posix(): path.read_bytes() for path in root.rglob("*") if path.is_file()}
+
+
+FULL_DISK = """
+import json, pathlib, resource, signal, sys
+import torch
+from detden_lite import artifacts
+from detden_lite.defense.augmentation import Trajectories
+from detden_lite.defense.training import VAERecipe, train_gruvae
+
+root, large = pathlib.Path(sys.argv[1]), "x" * 10_000
+waves = Trajectories(torch.rand(8, 20, 3).numpy(), torch.full((8,), 20).numpy())
+
+def train(after_epoch=None):
+    train_gruvae(VAERecipe(epochs=2, batch=4), [(waves, waves)], 0, root / "model.ckpt", after_epoch)
+
+def interrupt(*_):
+    raise KeyboardInterrupt
+
+try:
+    train(interrupt)
+except KeyboardInterrupt:
+    kept = (root / "model.ckpt").read_bytes()
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+
+def try_with(quota, write, *arguments):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (quota, resource.RLIM_INFINITY))
+    try:
+        write(*arguments)
+    except artifacts.ArtifactError as error:
+        print(error)
+    else:
+        print("written")
+
+cell, victim = root / "results" / "cell.json", root / "hopper-td3" / "victim.safetensors"
+manifest = (root / "manifest.json").stat().st_size
+try_with(1_000, artifacts.write_bytes, cell, large.encode(), root)
+try_with(1_000, artifacts.write_json, root / "results" / "new.json", dict(more=large), root)
+try_with(1_000, artifacts.save_tensors, victim, dict(weight=torch.zeros(5_000)), dict(step=8), root)
+try_with(1_000, artifacts.save_tensors, victim, dict(weight=torch.zeros(5)), dict(more=large), root)
+try_with(manifest, artifacts.write_json, root / "results" / "more.json", dict(mean=2.5), root)
+try_with(1_000, train)
+assert (root / "model.ckpt").read_bytes() == kept
+try_with(resource.RLIM_INFINITY, train)  # it goes on from there
+assert (root / "model.ckpt").read_bytes() != kept
+(root / "model.ckpt").unlink()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such quota")
+def test_a_full_disk_leaves_every_file_as_it_was(root):
+    """A quota of this many bytes a file. In the fifth case there is room for the file, but not for the manifest."""
+    before = everything(root)
+    found = subprocess.run([sys.executable, "-c", FULL_DISK, str(root)], capture_output=True, text=True, check=True)
+    lines = found.stdout.splitlines()
+    names = ["cell.json", "new.json", "victim.safetensors", "victim.json", "manifest.json", "model.ckpt"]
+    assert lines.pop() == "written"
+    for line, name in zip(lines, names, strict=True):
+        assert re.search(rf"{name} could not be written \(.+\); free some space and run again$", line)
+    assert everything(root) == before  # and so nothing by the name of .new
+    assert artifacts.is_made(root / "hopper-td3" / "victim.safetensors", root)
 
 
 KILLED_WRITE = """

@@ -137,6 +137,33 @@ def test_action_noise_is_each_episodes_own():
     assert (many.action - victim(torch.from_numpy(many.obs)).numpy()).std() == pytest.approx(0.075, abs=0.007)
 
 
+def test_action_noise_may_be_each_actions_own():
+    """One size for each action of each episode, or, from a single row, for those of all episodes."""
+    size = np.zeros((8, 3), np.float32)
+    size[1, 2] = size[5, 0] = 0.3
+    bare = dict(attack=None, timing=None, defense=None, steps=3)
+    changed = play(**bare, action_noise=size).action[0] != play(**bare).action[0]
+    assert np.array_equal(changed, size > 0)
+    row = np.array([[0.0, 0.2, 0.4]], np.float32)
+    victim = make_victim(seed=8)
+    victim.action_low.fill_(-3), victim.action_high.fill_(5)  # half the range is 4, and no bound is near
+    many = rollout(victim, HOPPER, range(400), action_noise=row, steps=1)
+    noise = many.action[0] - victim(torch.from_numpy(many.obs))[0].numpy()
+    assert np.allclose(noise.std(0), [0, 0.8, 1.6], rtol=0.1) and np.allclose(noise.mean(0), 0, atol=0.25)
+    # A Gaussian policy's own spread, whose samples keep the action bounds.
+    for n in (1, 8):
+        same = play(**bare, action_noise=np.repeat(row, n, 0))
+        assert np.array_equal(same.action, play(**bare, action_noise=row).action)
+        assert np.abs(same.action).max() <= 1
+
+
+def test_the_same_noise_whoever_runs_beside():
+    row = np.array([[0.1, 0.2, 0.4]], np.float32)
+    bare = dict(attack=None, timing=None, defense=None, steps=5, action_noise=row)
+    together, alone = play(**bare), play([SEEDS[3]], **bare)
+    assert np.allclose(together.action[:, 3], alone.action[:, 0], atol=1e-5)
+
+
 def test_selected_episodes_are_themselves(episodes):
     chosen = episodes.select([2, 5])
     assert chosen.seeds.tolist() == [22, 25]
