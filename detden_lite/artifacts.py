@@ -198,6 +198,11 @@ def _json(content: Mapping) -> bytes:
     return (json.dumps(content, indent=1, allow_nan=False) + "\n").encode()
 
 
+def unwritable(path: Path, error: OSError) -> ArtifactError:
+    """What to raise when the disk refuses a file or a folder."""
+    return ArtifactError(f"{path} could not be written ({error.strerror}); free some space and run again")
+
+
 def replace_file(path: Path, content: bytes) -> None:
     """Write a file whole or not at all: a kill on the way leaves the old one, and so does a full disk.
 
@@ -222,4 +227,4 @@ def replace_files(files: Mapping[Path, bytes]) -> None:
     except OSError as error:
         for new in news.values():
             new.unlink(missing_ok=True)
-        raise ArtifactError(f"{path} could not be written ({error.strerror}); free some space and run again") from None
+        raise unwritable(path, error) from None

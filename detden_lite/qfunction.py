@@ -27,6 +27,10 @@ class QRecipe:
     gamma: float = 0.99
     lam: float = 0.9
 
+    def sizes(self, task: Task) -> list[int]:
+        """Layer sizes of the network, for ``mlp`` and ``Victim.with_critic``."""
+        return [task.obs_dim + task.action_dim, self.net, self.net, 1]
+
 
 @dataclass(frozen=True)
 class Fit:
@@ -76,9 +80,9 @@ def learn_q(
     learned, kept = episodes.select(np.flatnonzero(~held_out)), episodes.select(np.flatnonzero(held_out))
 
     torch.manual_seed(seed)
-    net = mlp([victim.obs_dim + victim.action_dim, recipe.net, recipe.net, 1])
+    net = mlp(recipe.sizes(task))
     inputs, mask = _inputs(victim, learned), torch.from_numpy(learned.mask)
-    known, targets = inputs[mask], None
+    known = inputs[mask]
     scale = float(np.abs(learned.reward[learned.mask]).mean()) / (1 - recipe.gamma)
     optimizer = torch.optim.Adam(net.parameters(), lr=recipe.learning_rate)
     batches = -(-len(known) // recipe.batch)

@@ -51,9 +51,9 @@ class Episodes:
 
 @dataclass(frozen=True)
 class World:
-    """What an attack may see beside the observation, according to its ``needs``; the rest is None."""
+    """What an attack may see beside the observation, according to its ``needs``; what it does not need is None."""
 
-    wanted: np.ndarray | None = None  # whose perturbed observation will be used, [N] bool; the others' may be anything
+    wanted: np.ndarray  # whose perturbed observation will be used, [N] bool; the others' may be anything
     simulator: Simulator | None = None
     defense: Any = None  # a copy, with the defence's memory as it is before this observation
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from detden_lite.defense.training import VAERecipe
 from detden_lite.qfunction import QRecipe
 from detden_lite.tasks import Task
-from detden_lite.victim_training import PPORecipe, TD3Recipe
+from detden_lite.victim_recipes import PPORecipe, TD3Recipe
 
 ALGORITHMS = ("td3", "ppo")
 SCALES = ("tiny", "lite", "paper")

@@ -70,9 +70,8 @@ def learn_q(run: Run, seed: int = 0) -> None:
         raise ValueError("a TD3 victim has critics of its own; the qfunction stage is for PPO")
     recipe, episodes = run.scale.critic, study.seeds("critic", run.scale.critic.episodes)
     net, fit = qfunction.learn_q(run.victim(), run.task, recipe, episodes, run.scale.horizon, seed)
-    sizes = [run.task.obs_dim + run.task.action_dim, recipe.net, recipe.net, 1]
     sidecar = dict(
-        critic=sizes, activation="relu", recipe=asdict(recipe), seed=seed, fit=asdict(fit),
+        critic=recipe.sizes(run.task), activation="relu", recipe=asdict(recipe), seed=seed, fit=asdict(fit),
         versions=artifacts.versions(),
     )  # fmt: skip
     artifacts.save_tensors(run.folder / "critic.safetensors", net.state_dict(), sidecar, run.root)
@@ -191,7 +190,7 @@ def look(run: Run, variant: str = "residual", n: int = 16) -> None:
             clean={}, attacked=dict(attack=attack), defended=dict(attack=attack, defense=defense)
         ).items()
     }
-    index = int(np.argsort(takes["attacked"].lengths, kind="stable")[n // 2])
+    index = _middle(takes["attacked"].lengths)
     name, threshold = f"{run.folder.name}-opposite", defense.detector.threshold
     recordings.record(run.root / "recordings" / f"{name}.rrd", run.task, *takes.values(), index, threshold=threshold)
     folder = run.root / "films"
@@ -205,7 +204,7 @@ def portrait(run: Run, n: int = 16) -> None:
     from detden_lite import films  # needs ffmpeg
 
     clean = rollout(run.victim(), run.task, study.seeds("report", n), steps=run.scale.horizon)
-    index = int(np.argsort(clean.returns, kind="stable")[n // 2])
+    index = _middle(clean.returns)
     path = run.root / "films" / f"{run.folder.name}-clean"
     films.film(path.with_suffix(".mp4"), run.task, dict(clean=clean), index, seconds=6.0)
     films.still(path.with_suffix(".png"), run.task, dict(clean=clean), index, seconds=2.0)
@@ -218,6 +217,11 @@ def publish(run: Run, data: Path = artifacts.DATA) -> None:
     for folder in ("recordings", "films"):
         for path in sorted((run.root / folder).glob(f"{run.folder.name}-*")):
             artifacts.write_bytes(data / folder / path.name, path.read_bytes(), data)
+
+
+def _middle(values: np.ndarray) -> int:
+    """Where the median is."""
+    return int(np.argsort(values, kind="stable")[len(values) // 2])
 
 
 def _quantiles(scores: np.ndarray) -> dict[str, float]:

@@ -122,7 +122,7 @@ def run_cell(
         victim, task, episode_seeds, attack=attack, timing=timing, defense=defense, steps=steps, progress=progress
     )
     settings = dict(epsilon=threat.budget.epsilon, norm=str(threat.budget.norm))
-    if isinstance(attack, GradientAttack | EnchantingAttack):
+    if isinstance(attack, GradientAttack):
         settings |= dict(steps=attack.steps, restarts=attack.restarts)
     if isinstance(attack, EnchantingAttack):
         planner = attack.planner

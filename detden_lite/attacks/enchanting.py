@@ -1,19 +1,17 @@
 """The enchanting attack: lure the policy into the actions of an adversarial planner (section 3.2.1, equation 4)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from detden_lite.ascent import ascend
+from detden_lite.attacks.gradient import GradientAttack
 from detden_lite.budget import Budget
-from detden_lite.draws import Draws
 from detden_lite.planner import CEMPlanner
 from detden_lite.victims import Victim
 
 
-class EnchantingAttack:
+class EnchantingAttack(GradientAttack):
     """At every attacked step a planner finds the worst actions from the world's present state, and the observation is
     perturbed so that the policy's action comes as close as it can to the first of them.
 
@@ -31,19 +29,14 @@ class EnchantingAttack:
     def __init__(
         self, victim: Victim, budget: Budget, planner: CEMPlanner, steps: int = 20, restarts: int = 1, seed: int = 0
     ):
-        self.victim, self.budget, self.planner = victim, budget, planner
-        self.steps, self.restarts, self.seed = steps, restarts, seed
+        super().__init__(victim, budget, steps, restarts, seed)
+        self.planner = planner
 
     def reset(self, episodes: Sequence[int]) -> None:
         """Begin new episodes, one seed each."""
-        self.draws = Draws(self.seed, episodes)
+        super().reset(episodes)
         self.planner.reset(episodes)
 
-    def __call__(self, obs: Tensor, world) -> Tensor:
-        wanted = world.wanted if world.wanted is not None else np.ones(len(obs), dtype=bool)
-        target = torch.from_numpy(self.planner.plan(world.simulator.envs, wanted)).to(obs.dtype)
-
-        def closeness(perturbed: Tensor) -> Tensor:
-            return -(self.victim.straight_through(perturbed) - target).square().sum(-1)
-
-        return ascend(closeness, obs, self.budget, self.draws, self.steps, restarts=self.restarts)
+    def objective(self, obs: Tensor, world) -> Callable[[Tensor], Tensor]:
+        target = torch.from_numpy(self.planner.plan(world.simulator.envs, world.wanted)).to(obs.dtype)
+        return lambda perturbed: -(self.victim.straight_through(perturbed) - target).square().sum(-1)

@@ -28,7 +28,7 @@ class GradientAttack(ABC):
         self.victim, self.budget, self.steps, self.restarts, self.seed = victim, budget, steps, restarts, seed
 
     @abstractmethod
-    def objective(self, obs: Tensor) -> Callable[[Tensor], Tensor]:
+    def objective(self, obs: Tensor, world=None) -> Callable[[Tensor], Tensor]:
         """What is to be large: maps perturbed observations ``[N, obs_dim]`` of ``obs`` to values ``[N]``."""
 
     def reset(self, episodes: Sequence[int] | None = None) -> None:
@@ -36,4 +36,4 @@ class GradientAttack(ABC):
         self.draws = Draws(self.seed, episodes)
 
     def __call__(self, obs: Tensor, world=None) -> Tensor:
-        return ascend(self.objective(obs), obs, self.budget, self.draws, self.steps, restarts=self.restarts)
+        return ascend(self.objective(obs, world), obs, self.budget, self.draws, self.steps, restarts=self.restarts)

@@ -30,5 +30,5 @@ class OppositeAttack(GradientAttack):
 
     needs = frozenset({"policy"})
 
-    def objective(self, obs: Tensor) -> Callable[[Tensor], Tensor]:
+    def objective(self, obs: Tensor, world=None) -> Callable[[Tensor], Tensor]:
         return opposite_objective(self.victim, obs)

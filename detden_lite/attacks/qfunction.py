@@ -28,5 +28,5 @@ class QFunctionAttack(GradientAttack):
 
     needs = frozenset({"policy", "critic"})
 
-    def objective(self, obs: Tensor) -> Callable[[Tensor], Tensor]:
+    def objective(self, obs: Tensor, world=None) -> Callable[[Tensor], Tensor]:
         return q_objective(self.victim, obs)
