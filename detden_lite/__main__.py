@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from detden_lite import durations, stages, tables
+from detden_lite import durations, stages, study, tables
 from detden_lite.artifacts import ArtifactError
 from detden_lite.scales import ALGORITHMS, SCALES
 from detden_lite.tasks import TASKS
@@ -50,9 +50,15 @@ def parser() -> argparse.ArgumentParser:
         "--variant", choices=stages.VARIANTS, default="residual", help="default: %(default)s"
     )
     add("adversary", stages.fit_adversary, "tune when the attacker strikes")
-    add("evaluate", stages.evaluate, "run every cell of the table").add_argument(
-        "--variants", nargs="+", choices=stages.VARIANTS, default=["residual"], help="default: %(default)s"
-    )
+    evaluate = add("evaluate", stages.evaluate, "run every cell of the tables")
+    evaluate.add_argument(
+        "--defenses", nargs="+", choices=["none", *stages.VARIANTS], default=["none", "residual"],
+        help="none is the bare victim; default: %(default)s",
+    )  # fmt: skip
+    evaluate.add_argument(
+        "--attacks", nargs="+", choices=["none", *study.ATTACKS], default=["none", *study.ATTACKS],
+        help="default: all of them",
+    )  # fmt: skip
     add("look", stages.look, "record and film an episode, attacked and not (needs a GL driver)").add_argument(
         "--variant", choices=stages.VARIANTS, default="residual", help="default: %(default)s"
     )

@@ -1,5 +1,6 @@
 """How large everything is: ``tiny`` for tests, ``lite`` for what is shipped, ``paper`` for the paper's own sizes."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from detden_lite.defense.training import VAERecipe
@@ -14,10 +15,12 @@ SCALES = ("tiny", "lite", "paper")
 _PPO = PPORecipe(envs=32, rollout=64, batch=128)
 VICTIMS = {
     ("hopper", "td3"): TD3Recipe(steps=500_000),
-    ("walker2d", "td3"): TD3Recipe(steps=500_000),
+    ("walker2d", "td3"): TD3Recipe(steps=800_000, envs=4, updates=25),
     ("halfcheetah", "td3"): TD3Recipe(steps=540_000),
     ("ant", "td3"): TD3Recipe(steps=700_000),
-    ("humanoid", "td3"): TD3Recipe(steps=1_000_000, learning_rate=3e-4),
+    ("humanoid", "td3"): TD3Recipe(
+        steps=560_000, learning_rate=3e-4, envs=4, updates=20, learning_starts=20_000, normalize=True
+    ),
     ("hopper", "ppo"): _PPO,
     ("walker2d", "ppo"): _PPO,
     ("halfcheetah", "ppo"): replace(_PPO, log_std=-0.7),
@@ -43,7 +46,9 @@ class Scale:
     trajectories: int
     horizon: int
     episodes: int  # of each reported cell
+    planned_episodes: int  # of those whose attack plans, which takes long
     attack_steps: int  # PGD steps
+    planner: Mapping[str, int]  # arguments of ``CEMPlanner``
 
 
 def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
@@ -60,7 +65,9 @@ def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
             trajectories=8,
             horizon=50,
             episodes=4,
+            planned_episodes=2,
             attack_steps=3,
+            planner=dict(horizon=3, population=8, iterations=1, elites=2),
         )
     sizes = dict(hidden=task.hidden, layers=task.layers, latent=task.latent, learning_rate=task.learning_rate)
     return Scale(
@@ -70,5 +77,7 @@ def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
         trajectories=1_000 if name == "lite" else task.trajectories,
         horizon=task.horizon,
         episodes=100,
+        planned_episodes=50,
         attack_steps=20,
+        planner=dict(horizon=15, population=64, iterations=4, elites=8),
     )
