@@ -55,19 +55,21 @@ def ascend(
 
 def _climb(objective, obs: Tensor, budget: Budget, starts: list[Tensor], steps: int, step_size: float) -> Tensor:
     slope = getattr(objective, "value_and_gradient", None) or partial(value_and_gradient, objective)
-    best, best_value = obs.clone(), torch.full(obs.shape[:1], -torch.inf, dtype=obs.dtype)
+    best, best_value = obs, torch.full(obs.shape[:1], -torch.inf, dtype=obs.dtype)
 
     def keep_best(x: Tensor, value: Tensor) -> None:
+        nonlocal best, best_value
         better = value > best_value
-        best[better] = x[better]
-        best_value[better] = value[better]
+        best = torch.where(better[:, None], x, best)
+        best_value = torch.where(better, value, best_value)
 
+    project = budget.projection(obs)
     for start in starts:
-        x = budget.project(obs, start)
+        x = project(start)
         for _ in range(steps):
             value, gradient = slope(x)
             keep_best(x, value)
-            x = budget.project(obs, x + step_size * budget.steepest(gradient))
+            x = project(x.add(budget.steepest(gradient), alpha=step_size))
         with torch.no_grad():
             keep_best(x, objective(x))
     return best
