@@ -65,10 +65,10 @@ class Run:
             return
         for path in (self.root / "results").glob(f"{self.folder.name}.*"):
             path.unlink()
-        for path in [*self.folder.glob("*"), *(self.folder / "checkpoints").glob("*.ckpt")]:
+        for path in [*self.folder.glob("*"), *(self.folder / "checkpoints").glob("*")]:
             if path.is_file():
                 path.unlink()
-            elif path.name != "checkpoints":
+            elif path.name != "checkpoints" and not path.name.startswith("victim-"):
                 shutil.rmtree(path)
 
     def victim(self) -> Victim:

@@ -1,7 +1,8 @@
 """One cell of a table: a victim, an attack, its timing and a defence, run and written down as a result record."""
 
 import time
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 import torch
@@ -12,6 +13,7 @@ from detden_lite.attacks import (
     EnchantingAttack,
     GaussianNoise,
     OppositeAttack,
+    OptimalAttack,
     QFunctionAttack,
     Random,
     UniformNoise,
@@ -28,7 +30,7 @@ from detden_lite.victims import Victim
 # Where the seeds of episodes begin, by what they are for: what is tuned on is never reported.
 SEEDS = dict(
     normal=1_000_000, calibration=2_000_000, screening=3_000_000, selection=4_000_000, tuning=5_000_000,
-    critic=6_000_000, report=8_000_000,
+    critic=6_000_000, search=6_500_000, adversary=7_000_000, report=8_000_000,
 )  # fmt: skip
 
 
@@ -42,7 +44,8 @@ class Cell:
     """What is done to whom. The names are those of the book's tables.
 
     Args:
-        attack: "none", "uniform", "gaussian", "fgsm", "opposite", "qfunction" or "enchanting".
+        attack: "none", "uniform", "gaussian", "fgsm", "opposite", "qfunction", "enchanting", "optimal" or
+            "linear".
         timing: "always", "vulnerable" or "random".
         defense: "none", or the name of a shipped defence.
     """
@@ -65,6 +68,7 @@ class Threat:
     restarts: int = 1
     c_vul: float = -np.inf  # threshold of the vulnerable timing
     rate: float = 1.0  # of the random timing
+    adversaries: Mapping[str, Victim] = field(default_factory=dict)  # "optimal", "linear": ``artifacts.load_adversary``
 
     def attack(self, name: str, victim: Victim, task: Task):
         """The attack of this name, or None for "none"."""
@@ -83,7 +87,11 @@ class Threat:
                 return QFunctionAttack(victim, self.budget, self.steps, self.restarts)
             case "enchanting":
                 return EnchantingAttack(victim, self.budget, CEMPlanner(task.env_id), self.steps, self.restarts)
-        names = "none, uniform, gaussian, fgsm, opposite, qfunction or enchanting"
+            case "optimal" | "linear":
+                if name not in self.adversaries:
+                    raise ValueError(f"adversaries: give the {name} one; artifacts.load_adversary has those shipped")
+                return OptimalAttack(self.adversaries[name], self.budget)
+        names = "none, uniform, gaussian, fgsm, opposite, qfunction, enchanting, optimal or linear"
         raise ValueError(f"attack must be {names}, not {name!r}")
 
     def timing(self, name: str, victim: Victim):

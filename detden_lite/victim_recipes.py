@@ -1,6 +1,8 @@
-"""How a victim is trained: the hyperparameters of TD3 and PPO, and what each needs to start, to save and to resume."""
+"""How a victim, or its adversary, is trained: the hyperparameters of TD3 and PPO, and what each needs to start, to save
+and to resume. ``worlds(n)`` makes n worlds to train in, as one ``VecEnv`` of stable-baselines3."""
 
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import gymnasium
@@ -43,30 +45,32 @@ class TD3Recipe:
         net = [self.net, self.net]
         return dict(actor=[task.obs_dim, *net, task.action_dim], critic=[task.obs_dim + task.action_dim, *net, 1])
 
-    def start(self, task: Task, seed: int):
+    def start(self, worlds: Callable, seed: int):
         """A new model, untrained."""
         from sbx import TD3
         from stable_baselines3.common.noise import NormalActionNoise
 
+        env = worlds(1)
+        zero = np.zeros(env.action_space.shape)
         return TD3(
             "MlpPolicy",
-            _make(task),
+            env,
             learning_rate=self.learning_rate,
             batch_size=self.batch,
             learning_starts=self.learning_starts,
             buffer_size=self.buffer,
             train_freq=self.updates,
             gradient_steps=self.updates,
-            action_noise=NormalActionNoise(np.zeros(task.action_dim), np.full(task.action_dim, self.action_noise)),
+            action_noise=NormalActionNoise(zero, zero + self.action_noise),
             policy_kwargs=dict(net_arch=[self.net, self.net]),
             seed=seed,
         )
 
-    def resume(self, task: Task, checkpoint: Path):
+    def resume(self, worlds: Callable, checkpoint: Path):
         """The model of a checkpoint."""
         from sbx import TD3
 
-        model = TD3.load(checkpoint / "model.zip", env=_make(task))
+        model = TD3.load(checkpoint / "model.zip", env=worlds(1))
         model.load_replay_buffer(checkpoint / "buffer.pkl")
         return model
 
@@ -75,9 +79,9 @@ class TD3Recipe:
         model.save(checkpoint / "model.zip")
         model.save_replay_buffer(checkpoint / "buffer.pkl")
 
-    def begin_segment(self, model, task: Task, done: float) -> None:
+    def begin_segment(self, model, worlds: Callable, done: float) -> None:
         """Forget the episode under way. ``done`` is the share of the training that lies behind."""
-        model.set_env(_make(task))
+        model.set_env(worlds(1))
 
 
 @dataclass(frozen=True)
@@ -117,14 +121,14 @@ class PPORecipe:
             actor=[*layers, task.action_dim], value=[*layers, 1], n_critics=0, activation=self.activation, gaussian=True
         )
 
-    def start(self, task: Task, seed: int):
+    def start(self, worlds: Callable, seed: int):
         """A new model, untrained."""
         import jax
         from sbx import PPO
 
         return PPO(
             "MlpPolicy",
-            self._normalized(task),
+            self._normalized(worlds),
             learning_rate=self.learning_rate,
             n_steps=self.rollout,
             batch_size=self.batch,
@@ -141,12 +145,12 @@ class PPORecipe:
             seed=seed,
         )
 
-    def resume(self, task: Task, checkpoint: Path):
+    def resume(self, worlds: Callable, checkpoint: Path):
         """The model of a checkpoint, with its normaliser."""
         from sbx import PPO
         from stable_baselines3.common.vec_env import VecNormalize
 
-        env = VecNormalize.load(str(checkpoint / "normalizer.pkl"), self._normalized(task).venv)
+        env = VecNormalize.load(str(checkpoint / "normalizer.pkl"), worlds(self.envs))
         return PPO.load(checkpoint / "model.zip", env=env)
 
     def save(self, model, checkpoint: Path) -> None:
@@ -154,18 +158,35 @@ class PPORecipe:
         model.save(checkpoint / "model.zip")
         model.get_vec_normalize_env().save(str(checkpoint / "normalizer.pkl"))
 
-    def begin_segment(self, model, task: Task, done: float) -> None:
+    def begin_segment(self, model, worlds: Callable, done: float) -> None:
         """Forget the episodes under way. ``done`` is the share of the training that lies behind."""
-        env, old = self._normalized(task), model.get_vec_normalize_env()
+        env, old = self._normalized(worlds), model.get_vec_normalize_env()
         env.obs_rms, env.ret_rms = old.obs_rms, old.ret_rms
         model.set_env(env)
         model.lr_schedule = _Constant(self.learning_rate * (1 - done))
 
-    def _normalized(self, task: Task):
-        from stable_baselines3.common.env_util import make_vec_env
+    def _normalized(self, worlds: Callable):
         from stable_baselines3.common.vec_env import VecNormalize
 
-        return VecNormalize(make_vec_env(lambda: _make(task), self.envs), gamma=self.gamma)
+        return VecNormalize(worlds(self.envs), gamma=self.gamma)
+
+
+@dataclass(frozen=True)
+class AdversaryRecipe(PPORecipe):
+    """Hyperparameters of PPO for an adversary, which sees what the victim should see and perturbs it."""
+
+    steps: int = 409_600
+    entropy: float = 0.0  # weight of the entropy bonus
+
+    def config(self, task: Task) -> dict:
+        """The arguments of the ``Victim`` that the adversary is: its actions are perturbations."""
+        return super().config(replace(task, action_dim=task.obs_dim))
+
+    def start(self, worlds: Callable, seed: int):
+        """A new model, untrained."""
+        model = super().start(worlds, seed)
+        model.ent_coef = self.entropy
+        return model
 
 
 @dataclass(frozen=True)
@@ -176,6 +197,13 @@ class _Constant:
 
     def __call__(self, _) -> float:
         return self.rate
+
+
+def task_worlds(task: Task, n: int):
+    """n worlds of a task, where a victim is trained."""
+    from stable_baselines3.common.env_util import make_vec_env
+
+    return make_vec_env(lambda: _make(task), n)
 
 
 def _make(task: Task) -> gymnasium.Env:
