@@ -16,7 +16,7 @@ SCALES = ("tiny", "lite", "paper")
 _PPO = PPORecipe(envs=32, rollout=64, batch=128)
 VICTIMS = {
     ("hopper", "td3"): TD3Recipe(steps=500_000),
-    ("walker2d", "td3"): TD3Recipe(steps=800_000, envs=4, updates=25),
+    ("walker2d", "td3"): TD3Recipe(steps=500_000),
     ("halfcheetah", "td3"): TD3Recipe(steps=540_000),
     ("ant", "td3"): TD3Recipe(steps=700_000),
     ("humanoid", "td3"): TD3Recipe(
