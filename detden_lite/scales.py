@@ -36,18 +36,18 @@ TINY_VICTIMS = {
     "ppo": PPORecipe(steps=1_024, segment=512, net=32, envs=4, rollout=64, epochs=2),
 }
 
-# The adversaries of the optimal attack; the paper says nothing of their training. The paper's sizes are those of ATLA.
-_ADVERSARY = AdversaryRecipe(envs=32, rollout=64, batch=128)
-LITE_ADVERSARIES = (_ADVERSARY, replace(_ADVERSARY, learning_rate=1e-3))
+# The grid of the optimal attack; the paper says nothing of its training. At the paper's scale it is as large as ATLA's.
+LITE_ADVERSARIES = tuple(
+    AdversaryRecipe(learning_rate=rate, entropy=entropy) for rate in (1e-3, 3e-3) for entropy in (0.0, 0.003)
+)
 PAPER_ADVERSARIES = tuple(
-    replace(_ADVERSARY, steps=1_024_000, learning_rate=rate, entropy=entropy, clip=clip)
-    for rate in (1e-4, 3e-4, 1e-3)
+    AdversaryRecipe(steps=1_013_760, learning_rate=rate, entropy=entropy, clip=clip)
+    for rate in (3e-4, 1e-3, 3e-3)
     for entropy in (0.0, 0.003)
     for clip in (0.2, 0.4)
 )
 TINY_ADVERSARIES = tuple(
-    AdversaryRecipe(steps=1_024, segment=512, net=32, envs=4, rollout=64, epochs=2, learning_rate=rate)
-    for rate in (3e-4, 1e-3)
+    AdversaryRecipe(steps=1_024, segment=512, net=32, learning_rate=rate, envs=4, epochs=2) for rate in (1e-3, 3e-3)
 )
 
 

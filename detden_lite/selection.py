@@ -68,5 +68,5 @@ def _load(path: Path, config: dict) -> Victim:
         return Victim.from_state(config, load_file(path))
     except (SafetensorError, RuntimeError):
         raise ArtifactError(
-            f"{path} is truncated, or of another recipe than its folder; remove {path.parents[1]} and train again"
+            f"{path} is truncated, or of another recipe than its folder; remove {path.parents[1]} and train anew"
         ) from None

@@ -191,7 +191,12 @@ class PPORecipe:
 class AdversaryRecipe(PPORecipe):
     """Hyperparameters of PPO for an adversary, which sees what the victim should see and perturbs it."""
 
-    steps: int = 409_600
+    steps: int = 307_200
+    segment: int = 30_720
+    learning_rate: float = 1e-3
+    envs: int = 32
+    rollout: int = 64
+    batch: int = 128
     entropy: float = 0.0  # weight of the entropy bonus
 
     def config(self, task: Task) -> dict:

@@ -84,7 +84,7 @@ def test_every_scale_plans_the_whole_graph_for_all_ten_rows(tmp_path, scale):
 )
 def test_a_cluster_gets_the_same_jobs_with_what_each_needs(tmp_path, settings):
     printed = run(tmp_path, "--dry-run", "--printshellcmds", "--executor", "dryrun", *settings, scale="lite")
-    assert planned(printed) == JOBS | dict(adversary=20)
+    assert planned(printed) == JOBS | dict(adversary=40)
     resources = re.findall(r"^(?:local)?rule (\w+):(?:\n    .*)*?\n    resources: (.*)", printed, re.M)
     assert {rule for rule, _ in resources} >= set(JOBS) | {"adversary"} - {"all"}
     for rule, asked in resources:
