@@ -32,6 +32,15 @@ TINY_VICTIMS = {
     "ppo": PPORecipe(steps=1_024, segment=512, net=32, envs=4, rollout=64, epochs=2),
 }
 
+# Of the enchanting attack, in the sweep of what planning costs: how far it looks, and how hard it searches.
+PLANNERS = tuple(
+    dict(horizon=horizon, population=population, iterations=iterations)
+    for horizon, population, iterations in (
+        (1, 64, 4), (2, 64, 4), (5, 64, 4), (15, 64, 4), (30, 64, 4), (15, 4, 1), (15, 16, 2), (15, 256, 4),
+    )
+)  # fmt: skip
+TINY_PLANNERS = (dict(horizon=2, population=4, iterations=1), dict(horizon=5, population=4, iterations=1))
+
 
 @dataclass(frozen=True)
 class Scale:
@@ -44,6 +53,7 @@ class Scale:
     horizon: int
     episodes: int  # of each reported cell
     attack_steps: int  # PGD steps
+    planners: tuple[dict[str, int], ...]
 
 
 def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
@@ -61,6 +71,7 @@ def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
             horizon=50,
             episodes=4,
             attack_steps=3,
+            planners=TINY_PLANNERS,
         )
     sizes = dict(hidden=task.hidden, layers=task.layers, latent=task.latent, learning_rate=task.learning_rate)
     return Scale(
@@ -71,4 +82,5 @@ def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
         horizon=task.horizon,
         episodes=100,
         attack_steps=20,
+        planners=PLANNERS,
     )

@@ -5,9 +5,9 @@ from detden_lite.attacks.enchanting import EnchantingAttack
 from detden_lite.attacks.noise import GaussianNoise, UniformNoise
 from detden_lite.attacks.opposite import OppositeAttack
 from detden_lite.attacks.qfunction import QFunctionAttack
-from detden_lite.attacks.timing import Always, Random, Vulnerable
+from detden_lite.attacks.timing import After, Always, Random, Vulnerable
 
 __all__ = [
-    "Always", "EnchantingAttack", "GaussianNoise", "OppositeAttack", "QFunctionAttack", "Random", "UniformNoise",
-    "Vulnerable",
+    "After", "Always", "EnchantingAttack", "GaussianNoise", "OppositeAttack", "QFunctionAttack", "Random",
+    "UniformNoise", "Vulnerable",
 ]  # fmt: skip
