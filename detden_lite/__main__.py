@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from detden_lite import durations, gallery, stages, sweeps, tables
+from detden_lite import durations, gallery, stages, study, sweeps, tables
 from detden_lite.artifacts import ArtifactError
 from detden_lite.scales import ALGORITHMS, SCALES
 from detden_lite.tasks import TASKS
@@ -50,9 +50,15 @@ def parser() -> argparse.ArgumentParser:
         "--variant", choices=stages.VARIANTS, default="residual", help="default: %(default)s"
     )
     add("adversary", stages.fit_adversary, "tune when the attacker strikes")
-    add("evaluate", stages.evaluate, "run every cell of the table").add_argument(
-        "--variants", nargs="+", choices=stages.VARIANTS, default=["residual"], help="default: %(default)s"
-    )
+    evaluate = add("evaluate", stages.evaluate, "run every cell of the tables")
+    evaluate.add_argument(
+        "--defenses", nargs="+", choices=["none", *stages.VARIANTS], default=["none", "residual"],
+        help="none is the bare victim; default: %(default)s",
+    )  # fmt: skip
+    evaluate.add_argument(
+        "--attacks", nargs="+", choices=["none", *study.ATTACKS], default=["none", *study.ATTACKS],
+        help="default: all of them",
+    )  # fmt: skip
     add("epsilon", sweeps.epsilon, "attack at several sizes of the ball")
     add("planning", sweeps.planning, "run the enchanting attack with several planners")
     add("look", gallery.look, "record and film an episode, attacked and not (needs a GL driver)").add_argument(
@@ -61,8 +67,7 @@ def parser() -> argparse.ArgumentParser:
     add("portrait", gallery.portrait, "film a clean episode of the victim (needs a GL driver)")
     shown = add("gallery", gallery.gallery, "film and record an episode under each attack (needs a GL driver)")
     shown.add_argument(
-        "--attacks", nargs="+", default=["opposite", "qfunction", "enchanting"],
-        help="names of attacks; default: %(default)s",
+        "--attacks", nargs="+", choices=study.ATTACKS, default=list(study.FOUR), help="default: %(default)s"
     )  # fmt: skip
     shown.add_argument("--variant", choices=stages.VARIANTS, default="residual", help="default: %(default)s")
     add("publish", stages.publish, "copy what is shipped into data/")

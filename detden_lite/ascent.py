@@ -1,12 +1,14 @@
 """Projected gradient ascent in the ball: FGSM (Goodfellow et al., 2015) is one step, PGD (Madry et al., 2018) more."""
 
 from collections.abc import Callable
+from functools import partial
 
 import torch
 from torch import Tensor
 
 from detden_lite.budget import Budget
 from detden_lite.draws import Draws
+from detden_lite.gradients import value_and_gradient
 
 
 def ascend(
@@ -17,11 +19,13 @@ def ascend(
     steps: int = 20,
     step_size: float | None = None,
     restarts: int = 1,
+    wanted: Tensor | None = None,
 ) -> Tensor:
     """The perturbed observations in B(obs) with the largest objective that was met on the way.
 
     Args:
-        objective: maps perturbed observations ``[N, obs_dim]`` to values ``[N]``, row by row.
+        objective: maps perturbed observations ``[n, obs_dim]`` to values ``[n]``, row by row. If it has a method
+            ``value_and_gradient`` (see ``detden_lite.gradients``) this is asked for the gradient, otherwise autograd.
         obs: true observations ``[N, obs_dim]``.
         budget: the ball.
         draws: where random starts come from; None starts at ``obs`` itself, which is a stationary point of some
@@ -29,6 +33,8 @@ def ascend(
         steps: gradient steps of each restart.
         step_size: length of a step in the budget's norm; by default 2.5 epsilon / steps, and epsilon for one step.
         restarts: how many starts are tried.
+        wanted: which of the N rows to perturb, ``[N]`` bool; by default all. ``objective`` sees only these. All rows
+            draw their random starts, so that what is wanted changes nobody's.
 
     Returns:
         ``[N, obs_dim]``, inside the ball. As the best point met is kept, row by row, more restarts are never weaker.
@@ -37,6 +43,18 @@ def ascend(
         raise ValueError(f"steps and restarts must be at least 1, not {steps} and {restarts}")
     if step_size is None:
         step_size = budget.epsilon * (2.5 / steps if steps > 1 else 1.0)
+    starts = [budget.sample(obs, draws) if draws is not None else obs for _ in range(restarts)]
+    if wanted is not None and not wanted.all():
+        found = obs.clone()
+        if wanted.any():
+            chosen = [start[wanted] for start in starts]
+            found[wanted] = _climb(objective, obs[wanted], budget, chosen, steps, step_size)
+        return found
+    return _climb(objective, obs, budget, starts, steps, step_size)
+
+
+def _climb(objective, obs: Tensor, budget: Budget, starts: list[Tensor], steps: int, step_size: float) -> Tensor:
+    slope = getattr(objective, "value_and_gradient", None) or partial(value_and_gradient, objective)
     best, best_value = obs, torch.full(obs.shape[:1], -torch.inf, dtype=obs.dtype)
 
     def keep_best(x: Tensor, value: Tensor) -> None:
@@ -45,15 +63,13 @@ def ascend(
         best = torch.where(better[:, None], x, best)
         best_value = torch.where(better, value, best_value)
 
-    for _ in range(restarts):
-        x = budget.project(obs, budget.sample(obs, draws)) if draws is not None else obs
+    project = budget.projection(obs)
+    for start in starts:
+        x = project(start)
         for _ in range(steps):
-            x = x.detach().requires_grad_()
-            with torch.enable_grad():
-                value = objective(x)
-                (gradient,) = torch.autograd.grad(value.sum(), x)
-            keep_best(x.detach(), value.detach())
-            x = budget.project(obs, x.detach() + step_size * budget.steepest(gradient))
+            value, gradient = slope(x)
+            keep_best(x, value)
+            x = project(x.add(budget.steepest(gradient), alpha=step_size))
         with torch.no_grad():
             keep_best(x, objective(x))
     return best

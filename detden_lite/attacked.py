@@ -5,17 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
-from detden_lite import artifacts
+from detden_lite import artifacts, stages, study
 from detden_lite.metrics import Estimate, estimate
-from detden_lite.study import Cell
 
-# In the order of the paper; "linear" is the released code's stand-in for the optimal attack, which the paper has not.
-ATTACKS = ("opposite", "qfunction", "optimal", "linear", "enchanting")
-TIMINGS = ("always", "vulnerable", "random")
+ATTACKS = (*study.FOUR, "linear")  # the last is the released code's stand-in for the optimal one
+CELLS = tuple((cell.attack, cell.timing) for cell in stages.cells(("none",)))
 CLEAN = ("none", "always")
 NAMES = dict(
-    none="clean", uniform="uniform noise", opposite="opposite", qfunction="Q-function", optimal="optimal",
-    linear="linear adversary", enchanting="enchanting",
+    none="clean", uniform="uniform noise", gaussian="Gaussian noise", fgsm="FGSM", opposite="opposite",
+    qfunction="Q-function", optimal="optimal", enchanting="enchanting", linear="linear adversary",
 )  # fmt: skip
 
 # Table 1 of the paper, columns "Attack/Defense", before the slash: mean returns of its policies under each attack.
@@ -31,10 +29,7 @@ _PAPER = {
     ("humanoid", "td3"): (431, 454, 585, 420),
     ("humanoid", "ppo"): (531, 406, 415, 396),
 }
-PAPER = {
-    victim: dict(zip(("opposite", "qfunction", "optimal", "enchanting"), row, strict=True))
-    for victim, row in _PAPER.items()
-}
+PAPER = {victim: dict(zip(study.FOUR, row, strict=True)) for victim, row in _PAPER.items()}
 
 
 def load(task: str, algo: str, root: Path = artifacts.DATA) -> dict[tuple[str, str], dict]:
@@ -43,8 +38,7 @@ def load(task: str, algo: str, root: Path = artifacts.DATA) -> dict[tuple[str, s
     Raises:
         ArtifactError: if one of them is altered.
     """
-    cells = [CLEAN, ("uniform", "always"), *((attack, timing) for attack in ATTACKS for timing in TIMINGS)]
-    names = {cell: Cell(*cell).record_name(task, algo) for cell in cells}
+    names = {cell: study.Cell(*cell).record_name(task, algo) for cell in CELLS}
     there = {cell: name for cell, name in names.items() if (root / "results" / f"{name}.json").exists()}
     return {cell: artifacts.load_record(name, root) for cell, name in there.items()}
 
@@ -60,14 +54,15 @@ def strongest(records: Mapping[tuple[str, str], Mapping]) -> tuple[str, str] | N
 
 
 def difference(one: Mapping, other: Mapping) -> Estimate:
-    """How much more return a record has than another, compared episode by episode.
+    """How much more return a record has than another, episode by episode: of those that both have.
 
     Raises:
-        ValueError: if they are not of the same episodes.
+        ValueError: if the two do not begin with the same episode.
     """
-    if one["seeds"] != other["seeds"]:
-        raise ValueError(f"the records are of other episodes: seeds {one['seeds']} and {other['seeds']}")
-    return estimate(np.subtract(one["returns"], other["returns"]))
+    if one["seeds"][0] != other["seeds"][0]:
+        raise ValueError(f"the records are of other episodes, from seeds {one['seeds'][0]} and {other['seeds'][0]} on")
+    n = min(len(one["returns"]), len(other["returns"]))
+    return estimate(np.subtract(one["returns"][:n], other["returns"][:n]))
 
 
 def share(record: Mapping, clean: Mapping) -> float:

@@ -1,6 +1,8 @@
 """What an attacker may do to an observation: the ball B(o) (section 2.2 of the paper)."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from math import inf
 
 import torch
@@ -47,20 +49,28 @@ class Budget:
     def project(self, obs: Tensor, perturbed: Tensor) -> Tensor:
         """The point of B(obs) that is nearest to ``perturbed`` (in l2, after dividing by scale), ``[N, obs_dim]``."""
         if self.norm == inf:
-            radius = self.epsilon * self.scale
-            return perturbed.clamp(obs - radius, obs + radius)
+            return self.projection(obs)(perturbed)
         delta = (perturbed - obs) / self.scale
         if self.norm == 1:
             delta = _soft_threshold(delta, self.epsilon)  # exact but for rounding, which the next lines take back
         size = torch.linalg.vector_norm(delta, ord=self.norm, dim=-1, keepdim=True)
         return obs + delta * (self.epsilon / size.clamp_min(torch.finfo(delta.dtype).tiny)).clamp(max=1) * self.scale
 
+    def projection(self, obs: Tensor) -> Callable[[Tensor], Tensor]:
+        """``project`` on the balls of these observations, for many calls."""
+        if self.norm == inf:
+            radius = self.epsilon * self.scale
+            low, high = obs - radius, obs + radius
+            return lambda perturbed: perturbed.clamp(low, high)
+        return partial(self.project, obs)
+
     def steepest(self, gradient: Tensor) -> Tensor:
         """The step of size 1 in this norm that climbs fastest along ``gradient``, both ``[N, obs_dim]``."""
-        g = gradient * self.scale
         if self.norm == inf:
-            direction = g.sign()
-        elif self.norm == 2:
+            direction = gradient.sign()
+            return direction if isinstance(self.scale, float) and self.scale == 1 else direction * self.scale
+        g = gradient * self.scale
+        if self.norm == 2:
             direction = g / torch.linalg.vector_norm(g, dim=-1, keepdim=True).clamp_min(torch.finfo(g.dtype).tiny)
         else:
             largest = g.abs().argmax(dim=-1, keepdim=True)

@@ -52,7 +52,7 @@ def portrait(run: Run, n: int = 16) -> None:
 
 def gallery(
     run: Run,
-    attacks: Sequence[str] = ("opposite", "qfunction", "enchanting"),
+    attacks: Sequence[str] = study.FOUR,
     variant: str = "residual",
     n: int = 8,
     begin: int = 125,
@@ -70,7 +70,7 @@ def gallery(
     begin = min(begin, steps // 2)
 
     def play(name: str, **defended) -> Episodes:
-        attack = study.Threat(run.budget, run.scale.attack_steps).attack(name, victim, run.task)
+        attack = run.untimed_threat.attack(name, victim, run.task)
         return rollout(
             victim, run.task, study.seeds("report", n), attack=attack, timing=After(begin), steps=steps, **defended
         )

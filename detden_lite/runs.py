@@ -1,7 +1,7 @@
 """The folder of a run: which victim at which scale, and the trajectories that lie in it, in files of a batch each."""
 
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from detden_lite.budget import Budget
 from detden_lite.defense import DetectAndDenoise
 from detden_lite.defense.augmentation import Trajectories
 from detden_lite.scales import Scale, get_scale
+from detden_lite.study import Threat
 from detden_lite.tasks import Task, get_task
 from detden_lite.victims import Victim
 
@@ -76,6 +77,15 @@ class Run:
 
     def defense(self, variant: str) -> DetectAndDenoise:
         return artifacts.load_defense(self.task.name, self.algo, variant, self.root)
+
+    def threat(self) -> Threat:
+        """The attacker of the evaluations, with the timing that was tuned."""
+        tuned = artifacts.read_json(self.folder / "timing.json", self.root)
+        return replace(self.untimed_threat, c_vul=tuned["c_vul"], rate=tuned["attack_rate"])
+
+    @property
+    def untimed_threat(self) -> Threat:
+        return Threat(self.budget, self.scale.attack_steps, planner=self.scale.planner)
 
     def opposite(self, victim: Victim) -> OppositeAttack:
         return OppositeAttack(victim, self.budget, steps=self.scale.attack_steps)

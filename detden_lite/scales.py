@@ -1,5 +1,6 @@
 """How large everything is: ``tiny`` for tests, ``lite`` for what is shipped, ``paper`` for the paper's own sizes."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from detden_lite.defense.training import VAERecipe
@@ -14,10 +15,12 @@ SCALES = ("tiny", "lite", "paper")
 _PPO = PPORecipe(envs=32, rollout=64, batch=128)
 VICTIMS = {
     ("hopper", "td3"): TD3Recipe(steps=500_000),
-    ("walker2d", "td3"): TD3Recipe(steps=500_000),
+    ("walker2d", "td3"): TD3Recipe(steps=800_000, envs=4, updates=25),
     ("halfcheetah", "td3"): TD3Recipe(steps=540_000),
     ("ant", "td3"): TD3Recipe(steps=700_000),
-    ("humanoid", "td3"): TD3Recipe(steps=1_000_000, learning_rate=3e-4),
+    ("humanoid", "td3"): TD3Recipe(
+        steps=560_000, learning_rate=3e-4, envs=4, updates=20, learning_starts=20_000, normalize=True
+    ),
     ("hopper", "ppo"): _PPO,
     ("walker2d", "ppo"): _PPO,
     ("halfcheetah", "ppo"): replace(_PPO, log_std=-0.7),
@@ -32,14 +35,18 @@ TINY_VICTIMS = {
     "ppo": PPORecipe(steps=1_024, segment=512, net=32, envs=4, rollout=64, epochs=2),
 }
 
-# Of the enchanting attack, in the sweep of what planning costs: how far it looks, and how hard it searches.
-PLANNERS = tuple(
-    dict(horizon=horizon, population=population, iterations=iterations)
-    for horizon, population, iterations in (
-        (1, 64, 4), (2, 64, 4), (5, 64, 4), (15, 64, 4), (30, 64, 4), (15, 4, 1), (15, 16, 2), (15, 256, 4),
-    )
-)  # fmt: skip
-TINY_PLANNERS = (dict(horizon=2, population=4, iterations=1), dict(horizon=5, population=4, iterations=1))
+# Of the enchanting attack: what is reported, and in the sweep of what planning costs, how far and how hard it searches.
+PLANNER = dict(horizon=15, population=64, iterations=4, elites=8)
+PLANNERS = (
+    *(PLANNER | dict(horizon=horizon) for horizon in (1, 2, 5)),
+    PLANNER,
+    PLANNER | dict(horizon=30),
+    PLANNER | dict(population=4, iterations=1, elites=2),
+    PLANNER | dict(population=16, iterations=2, elites=2),
+    PLANNER | dict(population=256, elites=32),
+)
+TINY_PLANNER = dict(horizon=3, population=8, iterations=1, elites=2)
+TINY_PLANNERS = (TINY_PLANNER, TINY_PLANNER | dict(horizon=5))
 
 
 @dataclass(frozen=True)
@@ -52,8 +59,10 @@ class Scale:
     trajectories: int
     horizon: int
     episodes: int  # of each reported cell
+    planned_episodes: int  # of those whose attack plans, which takes long
     attack_steps: int  # PGD steps
-    planners: tuple[dict[str, int], ...]
+    planner: Mapping[str, int]  # arguments of ``CEMPlanner``
+    planners: tuple[Mapping[str, int], ...]  # of the sweep of planners
 
 
 def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
@@ -70,7 +79,9 @@ def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
             trajectories=8,
             horizon=50,
             episodes=4,
+            planned_episodes=2,
             attack_steps=3,
+            planner=TINY_PLANNER,
             planners=TINY_PLANNERS,
         )
     sizes = dict(hidden=task.hidden, layers=task.layers, latent=task.latent, learning_rate=task.learning_rate)
@@ -81,6 +92,8 @@ def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
         trajectories=1_000 if name == "lite" else task.trajectories,
         horizon=task.horizon,
         episodes=100,
+        planned_episodes=50,
         attack_steps=20,
+        planner=PLANNER,
         planners=PLANNERS,
     )

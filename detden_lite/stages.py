@@ -138,39 +138,41 @@ def train_denoiser(run: Run, variant: str, seed: int = 0) -> None:
     artifacts.save_model(run.task.name, run.algo, f"denoiser-{variant}", model, sidecar, run.root)
 
 
-def cells(variants=tuple(VARIANTS)) -> list[study.Cell]:
-    """The cells of the first table."""
-    found = [study.Cell()]
-    found += [study.Cell(attack) for attack in ("uniform", "gaussian", "fgsm", "opposite")]
-    found += [study.Cell("opposite", "vulnerable"), study.Cell("opposite", "random")]
-    for name in variants:
-        found += [study.Cell(defense=name), study.Cell("opposite", "always", name)]
-        found += [study.Cell("opposite", "vulnerable", name)]
+def cells(defenses=("none", *VARIANTS)) -> list[study.Cell]:
+    """The cells of the tables, one defence after the other; "none" is the bare victim."""
+    found = []
+    for name in defenses:
+        found.append(study.Cell(defense=name))
+        if name == "none":
+            found += [study.Cell(attack) for attack in (*study.CONTROLS, "linear")]
+            found += [study.Cell(attack, timing) for attack in study.FOUR for timing in study.TIMINGS]
+        else:
+            found += [study.Cell("opposite", timing, name) for timing in ("always", "vulnerable")]
     return found
 
 
 def fit_adversary(run: Run) -> None:
     """Tune C_vul, and with it the rate of the random timing, on tuning episodes."""
-    path, threat = run.folder / "timing.json", study.Threat(run.budget, run.scale.attack_steps)
+    path = run.folder / "timing.json"
     if not artifacts.is_made(path, run.root):
-        tuned = study.tune_vulnerable(run.task, run.victim(), threat, steps=run.scale.horizon)
+        tuned = study.tune_vulnerable(run.task, run.victim(), run.untimed_threat, steps=run.scale.horizon)
         artifacts.write_json(path, tuned, run.root)
 
 
-def evaluate(run: Run, variants=tuple(VARIANTS)) -> None:
-    """Every cell of the table, a record each."""
-    victim = run.victim()
-    tuned = artifacts.read_json(run.folder / "timing.json", run.root)
-    threat = study.Threat(run.budget, run.scale.attack_steps, c_vul=tuned["c_vul"], rate=tuned["attack_rate"])
-    for cell in cells(variants):
+def evaluate(run: Run, defenses=("none", *VARIANTS), attacks=("none", *study.ATTACKS)) -> None:
+    """Every cell of the tables with these defences and attacks, a record each."""
+    victim, threat = run.victim(), run.threat()
+    for cell in cells(defenses):
+        if cell.attack not in attacks:
+            continue
         name = cell.record_name(run.task.name, run.algo)
         path = run.root / "results" / f"{name}.json"
         if not artifacts.is_made(path, run.root):
             defense = None if cell.defense == "none" else run.defense(cell.defense)
+            n = run.scale.planned_episodes if cell.attack == "enchanting" else run.scale.episodes
             record, _ = study.run_cell(
-                cell, run.task, victim, threat, defense, study.seeds("report", run.scale.episodes),
-                run.scale.horizon, progress=name,
-            )  # fmt: skip
+                cell, run.task, victim, threat, defense, study.seeds("report", n), run.scale.horizon, progress=name
+            )
             artifacts.write_json(path, record, run.root)
             print(f"{name}: {metrics.Estimate(**record['estimate'])}")
 

@@ -1,7 +1,8 @@
 """One cell of a table: a victim, an attack, its timing and a defence, run and written down as a result record."""
 
 import time
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 import torch
@@ -37,13 +38,19 @@ def seeds(purpose: str, n: int) -> range:
     return range(SEEDS[purpose], SEEDS[purpose] + n)
 
 
+CONTROLS = ("uniform", "gaussian", "fgsm")
+FOUR = ("opposite", "qfunction", "optimal", "enchanting")  # the paper's
+ATTACKS = (*CONTROLS, *FOUR, "linear")
+TIMINGS = ("always", "vulnerable", "random")
+
+
 @dataclass(frozen=True)
 class Cell:
     """What is done to whom. The names are those of the book's tables.
 
     Args:
-        attack: "none", "uniform", "gaussian", "fgsm", "opposite", "qfunction" or "enchanting".
-        timing: "always", "vulnerable" or "random".
+        attack: "none", or one of ``ATTACKS``.
+        timing: one of ``TIMINGS``.
         defense: "none", or the name of a shipped defence.
     """
 
@@ -65,6 +72,7 @@ class Threat:
     restarts: int = 1
     c_vul: float = -np.inf  # threshold of the vulnerable timing
     rate: float = 1.0  # of the random timing
+    planner: Mapping[str, int] = field(default_factory=dict)  # arguments of ``CEMPlanner``
 
     def attack(self, name: str, victim: Victim, task: Task):
         """The attack of this name, or None for "none"."""
@@ -82,9 +90,10 @@ class Threat:
             case "qfunction":
                 return QFunctionAttack(victim, self.budget, self.steps, self.restarts)
             case "enchanting":
-                return EnchantingAttack(victim, self.budget, CEMPlanner(task.env_id), self.steps, self.restarts)
-        names = "none, uniform, gaussian, fgsm, opposite, qfunction or enchanting"
-        raise ValueError(f"attack must be {names}, not {name!r}")
+                return EnchantingAttack(
+                    victim, self.budget, CEMPlanner(task.env_id, **self.planner), self.steps, self.restarts
+                )
+        raise ValueError(f"attack must be none or one of {', '.join(ATTACKS)}, not {name!r}")
 
     def timing(self, name: str, victim: Victim):
         """The timing of this name."""
@@ -95,7 +104,7 @@ class Threat:
                 return Vulnerable(victim, self.c_vul)
             case "random":
                 return Random(self.rate)
-        raise ValueError(f"timing must be always, vulnerable or random, not {name!r}")
+        raise ValueError(f"timing must be one of {', '.join(TIMINGS)}, not {name!r}")
 
 
 def run_cell(
@@ -146,9 +155,20 @@ def run_cell(
 
 
 def tune_vulnerable(
-    task: Task, victim: Victim, threat: Threat, n: int = 32, keep: float = 0.9, steps: int | None = None
+    task: Task, victim: Victim, threat: Threat, n: int = 32, keep: float = 0.5, steps: int | None = None
 ) -> dict:
-    """Choose C_vul on tuning episodes: the smallest that keeps 90 % of the damage of attacking always (appendix C.2).
+    """Choose C_vul on tuning episodes: the largest damage for each attacked step (section 3.2.2, appendix C.2).
+
+    Only thresholds count that keep half of the damage of attacking always: a single strike may be the most efficient,
+    but leaves the victim standing.
+
+    Args:
+        task: where.
+        victim: whom.
+        threat: the attacker's settings; the opposite attack is tuned with.
+        n: how many tuning episodes.
+        keep: the share of the damage of attacking always that must be kept.
+        steps: the longest an episode may be; the task's horizon by default.
 
     Returns:
         The chosen ``c_vul``, and the whole ``sweep`` it was chosen from, ready for JSON.
@@ -161,23 +181,27 @@ def tune_vulnerable(
     clean = measure(None, None)
     values = victim.value(torch.from_numpy(clean.obs[clean.mask])).numpy()
     attack = threat.attack("opposite", victim, task)
-    damage = clean.returns.mean() - measure(attack, Always()).returns.mean()
+    clean_return = float(clean.returns.mean())
+    always_return = float(measure(attack, Always()).returns.mean())
     sweep = []
     for quantile in (0.01, 0.03, 0.1, 0.25, 0.5, 0.75, 0.9, 0.99):
         c_vul = float(np.quantile(values, quantile))
         attacked = measure(attack, Vulnerable(victim, c_vul))
+        strikes = float((attacked.attacked & attacked.mask).sum(0).mean())
+        damage = clean_return - float(attacked.returns.mean())
         sweep.append(
             dict(
                 quantile=quantile,
                 c_vul=c_vul,
                 attack_rate=float(attacked.attacked[attacked.mask].mean()),
-                attacks=float((attacked.attacked & attacked.mask).sum(0).mean()),
+                attacks=strikes,
                 mean_return=float(attacked.returns.mean()),
+                damage_per_attack=damage / strikes if strikes else 0.0,
             )
         )
-    enough = [row for row in sweep if clean.returns.mean() - row["mean_return"] >= keep * damage]
-    chosen = (enough or sweep[-1:])[0]
+    enough = [row for row in sweep if clean_return - row["mean_return"] >= keep * (clean_return - always_return)]
+    chosen = max(enough or sweep[-1:], key=lambda row: row["damage_per_attack"])
     return dict(
-        c_vul=chosen["c_vul"], attack_rate=chosen["attack_rate"], clean_return=float(clean.returns.mean()),
-        always_return=float(clean.returns.mean() - damage), sweep=sweep, seeds=[episode_seeds[0], n],
+        c_vul=chosen["c_vul"], attack_rate=chosen["attack_rate"], clean_return=clean_return,
+        always_return=always_return, sweep=sweep, seeds=[episode_seeds[0], n],
     )  # fmt: skip

@@ -72,7 +72,7 @@ def over_planners(
         victim: whom.
         budget: the ball.
         episode_seeds: one an episode; the same for all planners.
-        planners: ``horizon``, ``population`` and ``iterations`` of each.
+        planners: the arguments of each ``CEMPlanner``.
         begin: the first step that is attacked.
         steps: the longest an episode may be; the task's horizon by default.
 
@@ -82,7 +82,7 @@ def over_planners(
     """
     rows = []
     for settings in tqdm(planners, desc="planners", unit="planner"):
-        planner = _Timed(task.env_id, **settings, elites=max(2, settings["population"] // 8))
+        planner = _Timed(task.env_id, **settings)
         episodes = rollout(
             victim, task, episode_seeds, attack=EnchantingAttack(victim, budget, planner), timing=After(begin),
             steps=steps,
@@ -113,8 +113,8 @@ def epsilon(run: Run) -> None:
     """The stage: ``epsilon.json`` of a run, on report episodes."""
     path = run.folder / "epsilon.json"
     if not artifacts.is_made(path, run.root):
-        threat, episodes = Threat(run.budget, run.scale.attack_steps), seeds("report", run.scale.episodes)
-        found = over_sizes(run.task, run.victim(), threat, episodes, steps=run.scale.horizon)
+        episodes = seeds("report", run.scale.episodes)
+        found = over_sizes(run.task, run.victim(), run.untimed_threat, episodes, steps=run.scale.horizon)
         artifacts.write_json(path, found, run.root)
 
 

@@ -12,7 +12,7 @@ from detden_lite.tasks import Task
 
 @dataclass(frozen=True)
 class TD3Recipe:
-    """Hyperparameters of TD3 (Fujimoto et al., 2018) on raw observations.
+    """Hyperparameters of TD3 (Fujimoto et al., 2018) on raw observations, or on normalised ones.
 
     A segment is what is trained between two snapshots. Each starts from a new episode and from random generators that
     are seeded by (seed, segment), so that a run that was killed and resumed equals one that was not. A finished run
@@ -27,11 +27,15 @@ class TD3Recipe:
     buffer: int = 1_000_000  # transitions in the replay buffer
     learning_starts: int = 10_000
     action_noise: float = 0.1
-    updates: int = 50  # environment steps, and as many gradient steps, in one compiled call
+    envs: int = 1
+    updates: int = 50  # steps of each environment between two compiled calls of as many gradient steps
+    normalize: bool = False  # observations, by the mean and deviation of the replay buffer when a segment begins
 
     def __post_init__(self):
-        if self.steps % self.segment or self.segment % self.updates:
-            raise ValueError("steps must be a multiple of segment, and segment of updates")
+        if self.steps % self.segment or self.segment % (self.envs * self.updates):
+            raise ValueError("steps must be a multiple of segment, and segment of envs * updates")
+        if self.normalize and self.learning_starts < self.segment:
+            raise ValueError("learning_starts: there is nothing to normalise by before the first segment is over")
 
     @property
     def identity(self) -> dict:
@@ -50,13 +54,13 @@ class TD3Recipe:
 
         return TD3(
             "MlpPolicy",
-            _make(task),
+            self._env(task),
             learning_rate=self.learning_rate,
             batch_size=self.batch,
             learning_starts=self.learning_starts,
             buffer_size=self.buffer,
             train_freq=self.updates,
-            gradient_steps=self.updates,
+            gradient_steps=self.envs * self.updates,
             action_noise=NormalActionNoise(np.zeros(task.action_dim), np.full(task.action_dim, self.action_noise)),
             policy_kwargs=dict(net_arch=[self.net, self.net]),
             seed=seed,
@@ -66,7 +70,7 @@ class TD3Recipe:
         """The model of a checkpoint."""
         from sbx import TD3
 
-        model = TD3.load(checkpoint / "model.zip", env=_make(task))
+        model = TD3.load(checkpoint / "model.zip", env=self._env(task))
         model.load_replay_buffer(checkpoint / "buffer.pkl")
         return model
 
@@ -77,7 +81,20 @@ class TD3Recipe:
 
     def begin_segment(self, model, task: Task, done: float) -> None:
         """Forget the episode under way. ``done`` is the share of the training that lies behind."""
-        model.set_env(_make(task))
+        env = self._env(task)
+        seen = model.replay_buffer.observations[: model.replay_buffer.size()]
+        if self.normalize and len(seen):
+            # In float32: in float64 the normalising of batches would take longer than learning from them.
+            some = seen[:: max(1, len(seen) // 20_000)].reshape(-1, task.obs_dim)
+            env.obs_rms.mean, env.obs_rms.var = some.mean(0), some.var(0)
+        model.set_env(env)
+
+    def _env(self, task: Task):
+        from stable_baselines3.common.env_util import make_vec_env
+        from stable_baselines3.common.vec_env import VecNormalize
+
+        env = make_vec_env(lambda: _make(task), self.envs)
+        return VecNormalize(env, training=False, norm_reward=False) if self.normalize else env
 
 
 @dataclass(frozen=True)
@@ -124,7 +141,7 @@ class PPORecipe:
 
         return PPO(
             "MlpPolicy",
-            self._normalized(task),
+            self._env(task),
             learning_rate=self.learning_rate,
             n_steps=self.rollout,
             batch_size=self.batch,
@@ -146,7 +163,7 @@ class PPORecipe:
         from sbx import PPO
         from stable_baselines3.common.vec_env import VecNormalize
 
-        env = VecNormalize.load(str(checkpoint / "normalizer.pkl"), self._normalized(task).venv)
+        env = VecNormalize.load(str(checkpoint / "normalizer.pkl"), self._env(task).venv)
         return PPO.load(checkpoint / "model.zip", env=env)
 
     def save(self, model, checkpoint: Path) -> None:
@@ -156,12 +173,12 @@ class PPORecipe:
 
     def begin_segment(self, model, task: Task, done: float) -> None:
         """Forget the episodes under way. ``done`` is the share of the training that lies behind."""
-        env, old = self._normalized(task), model.get_vec_normalize_env()
+        env, old = self._env(task), model.get_vec_normalize_env()
         env.obs_rms, env.ret_rms = old.obs_rms, old.ret_rms
         model.set_env(env)
         model.lr_schedule = _Constant(self.learning_rate * (1 - done))
 
-    def _normalized(self, task: Task):
+    def _env(self, task: Task):
         from stable_baselines3.common.env_util import make_vec_env
         from stable_baselines3.common.vec_env import VecNormalize
 

@@ -10,6 +10,7 @@ from detden_lite.attacks import EnchantingAttack, GaussianNoise, OppositeAttack,
 from detden_lite.attacks.opposite import opposite_objective
 from detden_lite.attacks.qfunction import q_objective
 from detden_lite.budget import Budget
+from detden_lite.gradients import value_and_gradient
 from detden_lite.planner import CEMPlanner
 from detden_lite.rollout import World
 from detden_lite.simulator import Simulator
@@ -180,6 +181,71 @@ def test_a_gaussian_policy_beyond_its_bounds_can_still_be_attacked():
     assert torch.allclose(victim.straight_through(obs), victim(obs))
 
 
+def unlike(dim: int, gaussian: bool, activation: str, seed: int) -> Victim:
+    """A victim whose normaliser, bounds and Sigma are nobody's default."""
+    torch.manual_seed(seed)
+    victim = Victim(
+        [dim, 16, 16, 2], [dim + 2, 8, 1], n_critics=2, activation=activation, critic_activation="tanh",
+        gaussian=gaussian,
+    )  # fmt: skip
+    victim.obs_mean.copy_(torch.randn(dim)), victim.obs_std.copy_(torch.rand(dim) + 0.2), victim.obs_clip.fill_(1.5)
+    victim.action_low.copy_(torch.tensor([-0.2, -3.0])), victim.action_high.copy_(torch.tensor([0.1, 2.0]))
+    if gaussian:
+        victim.action_std.copy_(torch.tensor([0.5, 2.0]))
+    return victim
+
+
+@steady
+@given(
+    st.integers(1, 9), st.booleans(), st.sampled_from(["relu", "tanh"]), st.booleans(), st.integers(0, 99),
+    st.integers(1, 6),
+)  # fmt: skip
+def test_gradients_by_hand_are_those_of_autograd(dim, gaussian, activation, plain, seed, n):
+    victim = unlike(dim, gaussian, activation, seed)
+    if plain:  # no normaliser
+        victim.obs_mean.zero_(), victim.obs_std.fill_(1), victim.obs_clip.fill_(torch.inf)
+    obs, target = normal(n, dim, seed=seed), normal(n, 2, seed=seed + 1)
+    enchanting = EnchantingAttack(victim, BUDGET, FixedPlan("Hopper-v5", plan=target))
+    world = World(np.ones(n, dtype=bool), Simulator("Hopper-v5", range(n)))
+    simple = {
+        OppositeAttack(victim, BUDGET): opposite_objective(victim, obs),
+        QFunctionAttack(victim, BUDGET): q_objective(victim, obs),
+        enchanting: lambda x: -(victim.straight_through(x) - target).square().sum(-1),
+    }
+    for attack, objective in simple.items():
+        by_hand = attack.objective(obs, world)
+        for x in (obs + 0.1, obs[:1].expand(n, dim) - 0.5):  # the buffers of the first are used again
+            expected, slope = value_and_gradient(objective, x)
+            found, hand = by_hand.value_and_gradient(x)
+            assert torch.allclose(found, expected, rtol=1e-4, atol=1e-5)
+            assert torch.allclose(by_hand(x), expected, rtol=1e-4, atol=1e-5)
+            assert torch.allclose(hand, slope, rtol=1e-3, atol=1e-4 * float(slope.abs().max()) + 1e-6)
+
+
+@pytest.mark.parametrize("kind", [OppositeAttack, QFunctionAttack])
+def test_half_the_precision_finds_nearly_the_same_maximum(kind):
+    victim, obs = make_victim(hidden=64), normal(500, 11)
+    objective = dict(zip((OppositeAttack, QFunctionAttack), (opposite_objective, q_objective), strict=True))[kind]
+    before = objective(victim, obs)(obs).mean()
+    full, half = (
+        objective(victim, obs)(attack_once(kind(victim, BUDGET, dtype=dtype), obs, [0])).mean() - before
+        for dtype in (torch.float32, torch.bfloat16)
+    )
+    assert full > 0 and half > 0.95 * full
+
+
+@pytest.mark.parametrize("kind", [OppositeAttack, QFunctionAttack])
+def test_only_what_is_wanted_is_perturbed_and_as_it_would_be_with_the_others(kind):
+    obs, attack = normal(4, 11), kind(make_victim(), BUDGET, steps=3, restarts=2)
+    attack.reset(range(4))
+    first, second = attack(obs), attack(obs)
+    attack.reset(range(4))
+    none = attack(obs, World(np.zeros(4, dtype=bool)))
+    some = attack(obs, World(np.array([True, False, True, False])))
+    assert torch.equal(none, obs) and torch.equal(some[1::2], obs[1::2])
+    assert torch.allclose(some[::2], second[::2], atol=1e-6) and not torch.allclose(first, second)
+
+
 def test_a_victim_without_a_critic_cannot_be_asked():
     with pytest.raises(ValueError, match="no Q-function"):
         attack_once(QFunctionAttack(make_victim(gaussian=True), BUDGET), normal(2, 11))
@@ -188,8 +254,12 @@ def test_a_victim_without_a_critic_cannot_be_asked():
 class FixedPlan(CEMPlanner):
     """A planner whose answer is known."""
 
+    def __init__(self, env_id, plan=0.3):
+        super().__init__(env_id)
+        self.answer = np.asarray(plan)
+
     def plan(self, envs, wanted):
-        return np.full((len(envs), 1), 0.3)
+        return self.answer if self.answer.ndim else np.full((len(envs), 1), self.answer)
 
 
 def test_the_enchanting_attack_brings_the_policy_to_the_planners_action():

@@ -175,7 +175,7 @@ def test_a_killed_run_goes_on_and_makes_nothing_twice(killed):
 
 def test_a_run_makes_everything_of_its_row(killed):
     folder, _ = killed
-    names = {cell.record_name("hopper", "ppo") for cell in stages.cells(["residual"])}
+    names = {cell.record_name("hopper", "ppo") for cell in stages.cells(["none", "residual"])}
     assert {path.stem for path in (folder / "results").glob("*.json")} == names
     assert artifacts.load_victim("hopper", "ppo", folder).critics
     artifacts.load_defense("hopper", "ppo", "residual", folder)

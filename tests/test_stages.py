@@ -78,7 +78,7 @@ def test_the_recipe_makes_everything_that_the_library_loads(request, algo):
     victim = artifacts.load_victim("hopper", algo, tiny)
     defense = artifacts.load_defense("hopper", algo, "residual", tiny)
     assert victim.obs_dim == defense.detector.model.obs_dim == 11 and defense.denoiser.model.config["residual"]
-    for cell in stages.cells(["residual"]):
+    for cell in stages.cells(["none", "residual"]):
         record = artifacts.load_record(cell.record_name("hopper", algo), tiny)
         assert len(record["returns"]) == 4 and record["estimate"]["mean"] == pytest.approx(np.mean(record["returns"]))
     assert set(json.loads((tiny / "manifest.json").read_text())) | {"manifest.json"} >= {
@@ -328,7 +328,7 @@ def test_the_command_line_publishes_models_and_records_but_no_trajectories(tiny,
     assert command_line("publish", "--scale", "tiny", "--root", str(tiny), data=tmp_path).returncode == 0
     published = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()}
     models = {f"hopper-td3/{name}" for name in ("victim", "detector-diverse", "denoiser-residual")}
-    records = {f"results/{cell.record_name('hopper', 'td3')}.json" for cell in stages.cells(["residual"])}
+    records = {f"results/{cell.record_name('hopper', 'td3')}.json" for cell in stages.cells(["none", "residual"])}
     expected = {f"{name}.{ending}" for name in models for ending in ("json", "safetensors")} | records
     assert published - {".manifest.lock"} == expected | {"hopper-td3/timing.json", "manifest.json"}
     artifacts.load_defense("hopper", "td3", "residual", tmp_path)

@@ -11,7 +11,7 @@ from detden_lite.attacks import After, EnchantingAttack, OppositeAttack
 from detden_lite.budget import Budget
 from detden_lite.planner import CEMPlanner
 from detden_lite.rollout import rollout
-from detden_lite.scales import PLANNERS
+from detden_lite.scales import SCALES, get_scale
 from detden_lite.study import SEEDS, Threat, seeds
 from detden_lite.sweeps import SIZES, over_planners, over_sizes
 
@@ -34,12 +34,12 @@ def test_every_size_is_what_the_attack_of_that_size_does():
 
 
 def test_every_planner_is_tried_on_robots_that_are_on_their_way():
-    victim, settings = make_victim(seed=8), dict(horizon=2, population=4, iterations=1)
+    victim, settings = make_victim(seed=8), dict(horizon=2, population=4, iterations=1, elites=2)
     found = over_planners(HOPPER, victim, BUDGET, EPISODES, [settings, settings | dict(horizon=4)], begin=5, steps=12)
     assert json.loads(json.dumps(found, allow_nan=False)) == found
     first, second = found["rows"]
     assert first | settings == first and second["horizon"] == 4 and found["begin"] == 5
-    attack = EnchantingAttack(victim, BUDGET, CEMPlanner(HOPPER.env_id, **settings, elites=2))
+    attack = EnchantingAttack(victim, BUDGET, CEMPlanner(HOPPER.env_id, **settings))
     episodes = rollout(victim, HOPPER, EPISODES, attack=attack, timing=After(5), steps=12)
     assert first["returns"] == episodes.returns.tolist()
     assert first["lived"] == (episodes.lengths - 5).clip(0).tolist() and max(first["lived"]) <= 7
@@ -48,9 +48,12 @@ def test_every_planner_is_tried_on_robots_that_are_on_their_way():
 
 def test_what_is_swept_has_no_duplicates_and_contains_what_is_reported():
     assert 1.0 in SIZES and len(set(SIZES)) == len(SIZES)
-    reported = CEMPlanner(HOPPER.env_id)
-    assert dict(horizon=reported.horizon, population=reported.population, iterations=reported.iterations) in PLANNERS
-    assert len({tuple(row.values()) for row in PLANNERS}) == len(PLANNERS)
+    for scale in SCALES:
+        found = get_scale(scale, HOPPER)
+        assert found.planner in found.planners and len({tuple(row.items()) for row in found.planners}) == len(
+            found.planners
+        )
+        assert all(row.keys() == found.planner.keys() for row in found.planners)
 
 
 def test_the_stages_store_their_sweeps_once(tmp_path):

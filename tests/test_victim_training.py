@@ -106,6 +106,25 @@ def test_ppo_keeps_the_statistics_of_its_normaliser_from_segment_to_segment():
     assert np.allclose(victim.obs_mean, statistics.obs_rms.mean, atol=1e-6) and (victim.obs_std != 1).all()
 
 
+def test_td3_may_normalise_by_what_its_buffer_held_when_a_segment_began(tmp_path):
+    """Nothing before the first; and a run that is resumed normalises as one that never stopped."""
+    recipe = replace(RECIPES["td3"], envs=2, updates=10, normalize=True, learning_starts=200, buffer=2_000, steps=600)
+    train_victim(HOPPER, recipe, 0, tmp_path / "whole")
+    train_victim(HOPPER, replace(recipe, steps=400), 0, tmp_path / "resumed")
+    train_victim(HOPPER, recipe, 0, tmp_path / "resumed")
+    assert contents(tmp_path / "whole") == contents(tmp_path / "resumed")
+    model, (first, _, last) = saved_model(tmp_path / "whole", recipe), states(tmp_path / "whole")
+    before = model.replay_buffer.observations[:200].reshape(400, 11)  # of 600, in two environments
+    assert (first["obs_mean"] == 0).all() and torch.allclose(first["obs_std"], torch.ones(11))
+    assert np.allclose(last["obs_mean"], before.mean(0), atol=1e-5)
+    assert np.allclose(last["obs_std"], before.std(0), rtol=1e-3)
+
+
+def test_td3_cannot_normalise_by_a_buffer_that_is_empty():
+    with pytest.raises(ValueError, match="learning_starts: there is nothing to normalise by"):
+        replace(RECIPES["td3"], normalize=True)
+
+
 def test_a_checkpoint_of_ppo_holds_its_normaliser(tmp_path):
     recipe = replace(RECIPES["ppo"], steps=256)
     train_victim(HOPPER, recipe, 0, tmp_path)
@@ -173,6 +192,7 @@ def test_a_folder_with_another_algorithms_run_is_refused(uninterrupted, algo):
     [
         ("td3", dict(steps=1_100)),
         ("td3", dict(segment=130)),
+        ("td3", dict(envs=3)),
         ("ppo", dict(steps=1_300)),
         ("ppo", dict(segment=200)),
         ("ppo", dict(envs=3)),

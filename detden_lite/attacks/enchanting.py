@@ -1,12 +1,13 @@
 """The enchanting attack: lure the policy into the actions of an adversarial planner (section 3.2.1, equation 4)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
 from detden_lite.attacks.gradient import GradientAttack
 from detden_lite.budget import Budget
+from detden_lite.gradients import ActionObjective
 from detden_lite.planner import CEMPlanner
 from detden_lite.victims import Victim
 
@@ -37,6 +38,7 @@ class EnchantingAttack(GradientAttack):
         super().reset(episodes)
         self.planner.reset(episodes)
 
-    def objective(self, obs: Tensor, world) -> Callable[[Tensor], Tensor]:
-        target = torch.from_numpy(self.planner.plan(world.simulator.envs, world.wanted)).to(obs.dtype)
-        return lambda perturbed: -(self.victim.straight_through(perturbed) - target).square().sum(-1)
+    def objective(self, obs: Tensor, world) -> ActionObjective:
+        """Minus the squared distance of the policy's action to the planner's."""
+        target = torch.from_numpy(self.planner.plan(world.simulator.envs, world.wanted)[world.wanted]).to(obs.dtype)
+        return ActionObjective(self.policy, lambda action: -(action - target).square().sum(-1))

@@ -1,13 +1,15 @@
 """Attacks that climb an objective of their own by projected gradient ascent."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
+import torch
 from torch import Tensor
 
 from detden_lite.ascent import ascend
 from detden_lite.budget import Budget
 from detden_lite.draws import Draws
+from detden_lite.gradients import ActionObjective, Policy
 from detden_lite.victims import Victim
 
 
@@ -20,20 +22,29 @@ class GradientAttack(ABC):
         steps: gradient steps (1 is FGSM).
         restarts: random starts; the best is taken.
         seed: of the random starts.
+        dtype: in which the networks are computed. bfloat16 is for large sets offline, on a processor that has it.
     """
 
     needs: frozenset[str]
+    clips = True  # whether a Gaussian policy's mean is clipped to the action bounds before it is judged
 
-    def __init__(self, victim: Victim, budget: Budget, steps: int = 20, restarts: int = 1, seed: int = 0):
+    def __init__(
+        self, victim: Victim, budget: Budget, steps: int = 20, restarts: int = 1, seed: int = 0,
+        dtype: torch.dtype = torch.float32,
+    ):  # fmt: skip
         self.victim, self.budget, self.steps, self.restarts, self.seed = victim, budget, steps, restarts, seed
+        self.policy = Policy(victim, self.clips, dtype)
 
     @abstractmethod
-    def objective(self, obs: Tensor, world=None) -> Callable[[Tensor], Tensor]:
-        """What is to be large: maps perturbed observations ``[N, obs_dim]`` of ``obs`` to values ``[N]``."""
+    def objective(self, obs: Tensor, world=None) -> ActionObjective:
+        """What is to be large, for perturbed observations of ``obs`` ``[n, obs_dim]``: the rows that are wanted."""
 
     def reset(self, episodes: Sequence[int] | None = None) -> None:
         """Begin new episodes, one seed each; None for offline use on any number of rows."""
         self.draws = Draws(self.seed, episodes)
 
     def __call__(self, obs: Tensor, world=None) -> Tensor:
-        return ascend(self.objective(obs, world), obs, self.budget, self.draws, self.steps, restarts=self.restarts)
+        """Perturbed observations ``[N, obs_dim]``; rows that the world does not want come back as they are."""
+        wanted = torch.ones(len(obs), dtype=torch.bool) if world is None else torch.from_numpy(world.wanted)
+        objective = self.objective(obs[wanted], world)
+        return ascend(objective, obs, self.budget, self.draws, self.steps, restarts=self.restarts, wanted=wanted)

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from detden_lite.attacks.gradient import GradientAttack
+from detden_lite.gradients import ActionObjective
 from detden_lite.victims import Victim
 
 
@@ -29,6 +30,10 @@ class OppositeAttack(GradientAttack):
     """Projected gradient ascent on l_op; see ``GradientAttack`` for the arguments."""
 
     needs = frozenset({"policy"})
+    clips = False
 
-    def objective(self, obs: Tensor, world=None) -> Callable[[Tensor], Tensor]:
-        return opposite_objective(self.victim, obs)
+    def objective(self, obs: Tensor, world=None) -> ActionObjective:
+        """``opposite_objective``, with the policy's gradient by hand."""
+        action = self.policy.forward(obs).clone()
+        weight = 1.0 if self.victim.action_std is None else self.victim.action_std**-2
+        return ActionObjective(self.policy, lambda seen: ((seen - action).square() * weight).sum(-1))

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from torch import Tensor
 
 from detden_lite.attacks.gradient import GradientAttack
+from detden_lite.gradients import ActionObjective
 from detden_lite.victims import Victim
 
 
@@ -28,5 +29,6 @@ class QFunctionAttack(GradientAttack):
 
     needs = frozenset({"policy", "critic"})
 
-    def objective(self, obs: Tensor, world=None) -> Callable[[Tensor], Tensor]:
-        return q_objective(self.victim, obs)
+    def objective(self, obs: Tensor, world=None) -> ActionObjective:
+        """``q_objective``, with the policy's gradient by hand."""
+        return ActionObjective(self.policy, lambda action: -self.victim.qs(obs, action).mean(0))
