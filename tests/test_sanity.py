@@ -7,6 +7,7 @@ from builders import HOPPER
 
 from detden_lite.artifacts import load_victim
 from detden_lite.attacks import OppositeAttack, QFunctionAttack
+from detden_lite.attacks.qfunction import q_objective
 from detden_lite.budget import Budget
 from detden_lite.sanity import Comparison, check
 from detden_lite.study import seeds
@@ -38,8 +39,8 @@ class Uphill(QFunctionAttack):
     """The sign is wrong."""
 
     def objective(self, obs, world=None):
-        wrong = super().objective(obs, world)
-        return lambda perturbed: -wrong(perturbed)
+        right = q_objective(self.victim, obs)
+        return lambda perturbed: -right(perturbed)
 
 
 class FromTheCentre(OppositeAttack):
