@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from detden_lite import durations, gallery, stages, study, sweeps, tables
+from detden_lite import adversaries, durations, gallery, stages, study, sweeps, tables
 from detden_lite.artifacts import ArtifactError
 from detden_lite.scales import ALGORITHMS, SCALES
 from detden_lite.tasks import TASKS
@@ -49,7 +49,12 @@ def parser() -> argparse.ArgumentParser:
     add("denoiser", stages.train_denoiser, "train a denoiser").add_argument(
         "--variant", choices=stages.VARIANTS, default="residual", help="default: %(default)s"
     )
-    add("adversary", stages.fit_adversary, "tune when the attacker strikes")
+    add("timing", stages.tune_timing, "tune when the attacker strikes")
+    add("adversary", adversaries.train_member, "train a member of the grid of adversaries").add_argument(
+        "--member", type=int, default=0, help="its place in the grid; default: %(default)s"
+    )
+    add("choose", adversaries.choose, "choose the adversary that leaves the victim the least")
+    add("linear", adversaries.search_linear, "search for a linear adversary")
     evaluate = add("evaluate", stages.evaluate, "run every cell of the tables")
     evaluate.add_argument(
         "--defenses", nargs="+", choices=["none", *stages.VARIANTS], default=["none", "residual"],

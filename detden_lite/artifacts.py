@@ -158,6 +158,39 @@ def load_defense(task: str, algo: str, variant: str = "residual", root: Path = D
     return DetectAndDenoise(Detector(detector, calibration["threshold"]), Denoiser(denoiser))
 
 
+def adversary_path(task: str, algo: str, kind: str, root: Path = DATA) -> Path:
+    """Where the adversary of this kind is: "optimal" is learned by reinforcement, "linear" is a linear map."""
+    if kind not in ("optimal", "linear"):
+        raise ValueError(f"kind must be optimal or linear, not {kind!r}")
+    return root / f"{task}-{algo}" / ("adversary.safetensors" if kind == "optimal" else "adversary-linear.safetensors")
+
+
+def save_adversary(task: str, algo: str, kind: str, adversary: Victim, sidecar: Mapping, root: Path = DATA) -> None:
+    """Ship an adversary of a victim; see ``adversary_path`` for the kinds."""
+    sidecar = dict(sidecar, config=adversary.config, versions=versions())
+    save_tensors(adversary_path(task, algo, kind, root), adversary.state_dict(), sidecar, root)
+
+
+def load_adversary(task: str, algo: str, kind: str = "optimal", root: Path = DATA) -> Victim:
+    """A shipped adversary, for ``OptimalAttack``: its actions are perturbations in units of the ball's radius.
+
+    Args:
+        task: of the victim that it learned to harm ("hopper").
+        algo: that victim's algorithm ("td3").
+        kind: "optimal" for the one learned by reinforcement, "linear" for the linear map.
+        root: as data/ is laid out.
+    """
+    adversary, _ = _build(_adversary, adversary_path(task, algo, kind, root), root)
+    return adversary
+
+
+def _adversary(card: dict, state: dict) -> Victim:
+    adversary = Victim.from_state(card["config"], state)
+    if adversary.obs_dim != adversary.action_dim:
+        raise ValueError(f"it maps {adversary.obs_dim} observations to {adversary.action_dim} perturbations")
+    return adversary
+
+
 def load_record(name: str, root: Path = DATA) -> dict:
     """A result record, ``results/<name>.json``."""
     return read_json(root / "results" / f"{name}.json", root)

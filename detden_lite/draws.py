@@ -22,8 +22,13 @@ class Draws:
     """
 
     def __init__(self, seed: int, episodes: Sequence[int] | None = None):
+        self.seed = seed
         keys = [[seed]] if episodes is None else [[seed, int(episode)] for episode in episodes]
         self.generators = [np.random.default_rng(key) for key in keys]
+
+    def restart(self, i: int, episode: int) -> None:
+        """Let row i belong to another episode from now on."""
+        self.generators[i] = np.random.default_rng([self.seed, int(episode)])
 
     def normal(self, n: int, dim: int) -> Tensor:
         """Standard normal numbers ``[n, dim]``."""

@@ -9,8 +9,8 @@ from pathlib import Path
 from detden_lite import artifacts
 
 STAGES = (
-    "victim", "select", "qfunction", "trajectories", "augmentation", "detector", "denoiser", "adversary",
-    "evaluation", "look", "portrait",
+    "victim", "select", "qfunction", "trajectories", "augmentation", "detector", "denoiser", "timing", "adversary",
+    "choose", "linear", "attacks", "evaluation", "look", "portrait",
 )  # fmt: skip
 RECORD = "durations.json"  # in data/
 

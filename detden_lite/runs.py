@@ -66,10 +66,10 @@ class Run:
             return
         for path in (self.root / "results").glob(f"{self.folder.name}.*"):
             path.unlink()
-        for path in [*self.folder.glob("*"), *(self.folder / "checkpoints").glob("*.ckpt")]:
+        for path in [*self.folder.glob("*"), *(self.folder / "checkpoints").glob("*")]:
             if path.is_file():
                 path.unlink()
-            elif path.name != "checkpoints":
+            elif path.name != "checkpoints" and not path.name.startswith("victim-"):
                 shutil.rmtree(path)
 
     def victim(self) -> Victim:
@@ -79,9 +79,15 @@ class Run:
         return artifacts.load_defense(self.task.name, self.algo, variant, self.root)
 
     def threat(self) -> Threat:
-        """The attacker of the evaluations, with the timing that was tuned."""
+        """The attacker of the evaluations, with the timing that was tuned and the adversaries that are there."""
         tuned = artifacts.read_json(self.folder / "timing.json", self.root)
-        return replace(self.untimed_threat, c_vul=tuned["c_vul"], rate=tuned["attack_rate"])
+        row = (self.task.name, self.algo)
+        adversaries = {
+            kind: artifacts.load_adversary(*row, kind, self.root)
+            for kind in ("optimal", "linear")
+            if artifacts.adversary_path(*row, kind, self.root).exists()
+        }
+        return replace(self.untimed_threat, c_vul=tuned["c_vul"], rate=tuned["attack_rate"], adversaries=adversaries)
 
     @property
     def untimed_threat(self) -> Threat:

@@ -4,9 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from detden_lite.defense.training import VAERecipe
+from detden_lite.linear_search import LinearRecipe
 from detden_lite.qfunction import QRecipe
 from detden_lite.tasks import Task
-from detden_lite.victim_recipes import PPORecipe, TD3Recipe
+from detden_lite.victim_recipes import AdversaryRecipe, PPORecipe, TD3Recipe
 
 ALGORITHMS = ("td3", "ppo")
 SCALES = ("tiny", "lite", "paper")
@@ -48,6 +49,20 @@ PLANNERS = (
 TINY_PLANNER = dict(horizon=3, population=8, iterations=1, elites=2)
 TINY_PLANNERS = (TINY_PLANNER, TINY_PLANNER | dict(horizon=5))
 
+# The adversaries of the optimal attack; the paper says nothing of their training. The paper's sizes are those of ATLA.
+_ADVERSARY = AdversaryRecipe(envs=32, rollout=64, batch=128)
+LITE_ADVERSARIES = (_ADVERSARY, replace(_ADVERSARY, learning_rate=1e-3))
+PAPER_ADVERSARIES = tuple(
+    replace(_ADVERSARY, steps=1_024_000, learning_rate=rate, entropy=entropy, clip=clip)
+    for rate in (1e-4, 3e-4, 1e-3)
+    for entropy in (0.0, 0.003)
+    for clip in (0.2, 0.4)
+)
+TINY_ADVERSARIES = tuple(
+    AdversaryRecipe(steps=1_024, segment=512, net=32, envs=4, rollout=64, epochs=2, learning_rate=rate)
+    for rate in (3e-4, 1e-3)
+)
+
 
 @dataclass(frozen=True)
 class Scale:
@@ -63,6 +78,8 @@ class Scale:
     attack_steps: int  # PGD steps
     planner: Mapping[str, int]  # arguments of ``CEMPlanner``
     planners: tuple[Mapping[str, int], ...]  # of the sweep of planners
+    adversaries: tuple[AdversaryRecipe, ...]  # the grid of the optimal attack
+    linear: LinearRecipe
 
 
 def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
@@ -83,6 +100,8 @@ def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
             attack_steps=3,
             planner=TINY_PLANNER,
             planners=TINY_PLANNERS,
+            adversaries=TINY_ADVERSARIES,
+            linear=LinearRecipe(generations=2, population=8, elites=4, episodes=1),
         )
     sizes = dict(hidden=task.hidden, layers=task.layers, latent=task.latent, learning_rate=task.learning_rate)
     return Scale(
@@ -96,4 +115,6 @@ def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
         attack_steps=20,
         planner=PLANNER,
         planners=PLANNERS,
+        adversaries=LITE_ADVERSARIES if name == "lite" else PAPER_ADVERSARIES,
+        linear=LinearRecipe(),
     )

@@ -39,6 +39,12 @@ class Simulator:
         self.obs = np.stack([env.reset(seed=seed)[0] for env, seed in zip(self.envs, self.seeds, strict=True)])
         return self.obs.astype(np.float32)
 
+    def restart(self, i: int, seed: int) -> np.ndarray:
+        """Start a new episode in one world; the others stay as they are. Returns its observation ``[obs_dim]``."""
+        self.seeds[i], self.alive[i] = int(seed), True
+        self.obs[i] = self.envs[i].reset(seed=int(seed))[0]
+        return self.obs[i].astype(np.float32)
+
     def step(self, action: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """One control step of every living world; a world whose episode has ended stays as it is.
 

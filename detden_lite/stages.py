@@ -1,14 +1,11 @@
 """The recipe's stages. Each makes the files of one folder that are missing, so that running it again resumes it."""
 
-import json
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
-from safetensors.torch import load_file
-from tqdm import tqdm
 
-from detden_lite import artifacts, metrics, qfunction, study, victim_training
+from detden_lite import artifacts, metrics, qfunction, selection, study, victim_training
 from detden_lite.defense import Detector, augmentation
 from detden_lite.defense.detector import calibrate, clean_scores
 from detden_lite.defense.training import train_gruvae
@@ -25,43 +22,37 @@ def train_victim(run: Run, seed: int) -> None:
 def select_victim(run: Run) -> None:
     """Choose among all snapshots of all seeds, and ship the chosen one with its evaluation on fresh episodes.
 
-    Every snapshot plays 5 screening episodes (the learning curve); the ten best of these play selection episodes; the
-    best of those is shipped, and evaluated once on the report's episodes. If another was shipped before, what was made
-    of that one is removed.
+    Screening takes 5 episodes; see ``selection.choose``. The chosen one is evaluated once on the report's episodes. If
+    another was shipped before, what was made of that one is removed.
     """
-    rows, curves = [], []
-    for folder in sorted((run.folder / "checkpoints").glob("victim-*")):
-        recipe = json.loads((folder / "recipe.json").read_text())
-        kind = type(run.scale.victim)
-        config = kind(**{key: recipe[key] for key in recipe.keys() & kind.__dataclass_fields__}).config(run.task)
-        for snapshot in tqdm(sorted((folder / "snapshots").glob("*.safetensors")), desc=folder.name, unit="snapshot"):
-            mean = _returns(run, config, snapshot, study.seeds("screening", 5)).mean()
-            rows.append(dict(recipe=recipe, step=int(snapshot.stem), mean=float(mean), path=snapshot, config=config))
-        own = [row for row in rows if row["recipe"] is recipe]
-        curves.append(dict(seed=recipe["seed"], steps=[row["step"] for row in own], mean=[row["mean"] for row in own]))
-    if not rows:
+    folders = sorted((run.folder / "checkpoints").glob("victim-*"))
+    if not any(any((folder / "snapshots").glob("*.safetensors")) for folder in folders):
         raise ValueError(f"{run.folder / 'checkpoints'} holds no snapshot of a victim; run the victim stage first")
-    best = sorted(rows, key=lambda row: -row["mean"])[:10]
-    episodes = study.seeds("selection", run.scale.episodes)
-    for row in tqdm(best, desc="selection", unit="snapshot"):
-        row["selection"] = float(_returns(run, row["config"], row["path"], episodes).mean())
-    chosen = max(best, key=lambda row: row["selection"])
-    returns = _returns(run, chosen["config"], chosen["path"], study.seeds("report", run.scale.episodes))
+    episodes = dict(screening=5, selection=run.scale.episodes, report=run.scale.episodes)
+
+    def returns(victim: Victim, purpose: str) -> np.ndarray:
+        return rollout(victim, run.task, study.seeds(purpose, episodes[purpose]), steps=run.scale.horizon).returns
+
+    chosen = selection.choose(
+        run.task, type(run.scale.victim), folders, lambda victim, purpose: float(returns(victim, purpose).mean())
+    )
+    reported = returns(chosen.policy, "report")
     sidecar = dict(
         task=run.task.name,
         env_id=run.task.env_id,
         algo=run.algo,
         trained_with="sbx-rl",
-        recipe=chosen["recipe"],
-        step=chosen["step"],
-        selection_mean=chosen["selection"],
-        returns=returns.tolist(),
-        estimate=asdict(metrics.estimate(returns)),
-        learning_curves=curves,
+        recipe=chosen.recipe,
+        step=chosen.step,
+        selection_mean=chosen.selection,
+        returns=reported.tolist(),
+        estimate=asdict(metrics.estimate(reported)),
+        learning_curves=[
+            dict(seed=curve["recipe"]["seed"], steps=curve["steps"], mean=curve["mean"]) for curve in chosen.curves
+        ],
     )
-    victim = Victim.from_state(chosen["config"], load_file(chosen["path"]))
-    run.forget_others(victim)
-    artifacts.save_victim(run.task.name, run.algo, victim, sidecar, run.root)
+    run.forget_others(chosen.policy)
+    artifacts.save_victim(run.task.name, run.algo, chosen.policy, sidecar, run.root)
 
 
 def learn_q(run: Run, seed: int = 0) -> None:
@@ -75,11 +66,6 @@ def learn_q(run: Run, seed: int = 0) -> None:
         versions=artifacts.versions(),
     )  # fmt: skip
     artifacts.save_tensors(run.folder / "critic.safetensors", net.state_dict(), sidecar, run.root)
-
-
-def _returns(run: Run, config: dict, snapshot: Path, episode_seeds) -> np.ndarray:
-    victim = Victim.from_state(config, load_file(snapshot))
-    return rollout(victim, run.task, episode_seeds, steps=run.scale.horizon).returns
 
 
 def collect(run: Run, data: str) -> None:
@@ -151,7 +137,7 @@ def cells(defenses=("none", *VARIANTS)) -> list[study.Cell]:
     return found
 
 
-def fit_adversary(run: Run) -> None:
+def tune_timing(run: Run) -> None:
     """Tune C_vul, and with it the rate of the random timing, on tuning episodes."""
     path = run.folder / "timing.json"
     if not artifacts.is_made(path, run.root):

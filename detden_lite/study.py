@@ -13,6 +13,7 @@ from detden_lite.attacks import (
     EnchantingAttack,
     GaussianNoise,
     OppositeAttack,
+    OptimalAttack,
     QFunctionAttack,
     Random,
     UniformNoise,
@@ -29,7 +30,7 @@ from detden_lite.victims import Victim
 # Where the seeds of episodes begin, by what they are for: what is tuned on is never reported.
 SEEDS = dict(
     normal=1_000_000, calibration=2_000_000, screening=3_000_000, selection=4_000_000, tuning=5_000_000,
-    critic=6_000_000, report=8_000_000,
+    critic=6_000_000, search=6_500_000, adversary=7_000_000, report=8_000_000,
 )  # fmt: skip
 
 
@@ -73,6 +74,7 @@ class Threat:
     c_vul: float = -np.inf  # threshold of the vulnerable timing
     rate: float = 1.0  # of the random timing
     planner: Mapping[str, int] = field(default_factory=dict)  # arguments of ``CEMPlanner``
+    adversaries: Mapping[str, Victim] = field(default_factory=dict)  # "optimal", "linear": ``artifacts.load_adversary``
 
     def attack(self, name: str, victim: Victim, task: Task):
         """The attack of this name, or None for "none"."""
@@ -93,6 +95,12 @@ class Threat:
                 return EnchantingAttack(
                     victim, self.budget, CEMPlanner(task.env_id, **self.planner), self.steps, self.restarts
                 )
+            case "optimal" | "linear":
+                if name not in self.adversaries:
+                    raise ValueError(
+                        f"adversaries: the {name} one is missing; run its stage first, or give one of your own"
+                    )
+                return OptimalAttack(self.adversaries[name], self.budget)
         raise ValueError(f"attack must be none or one of {', '.join(ATTACKS)}, not {name!r}")
 
     def timing(self, name: str, victim: Victim):

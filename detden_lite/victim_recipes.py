@@ -1,6 +1,8 @@
-"""How a victim is trained: the hyperparameters of TD3 and PPO, and what each needs to start, to save and to resume."""
+"""How a victim, or its adversary, is trained: the hyperparameters of TD3 and PPO, and what each needs to start, to save
+and to resume. ``worlds(n)`` makes n worlds to train in, as one ``VecEnv`` of stable-baselines3."""
 
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import gymnasium
@@ -47,30 +49,32 @@ class TD3Recipe:
         net = [self.net, self.net]
         return dict(actor=[task.obs_dim, *net, task.action_dim], critic=[task.obs_dim + task.action_dim, *net, 1])
 
-    def start(self, task: Task, seed: int):
+    def start(self, worlds: Callable, seed: int):
         """A new model, untrained."""
         from sbx import TD3
         from stable_baselines3.common.noise import NormalActionNoise
 
+        env = self._normalized(worlds)
+        zero = np.zeros(env.action_space.shape)
         return TD3(
             "MlpPolicy",
-            self._env(task),
+            env,
             learning_rate=self.learning_rate,
             batch_size=self.batch,
             learning_starts=self.learning_starts,
             buffer_size=self.buffer,
             train_freq=self.updates,
             gradient_steps=self.envs * self.updates,
-            action_noise=NormalActionNoise(np.zeros(task.action_dim), np.full(task.action_dim, self.action_noise)),
+            action_noise=NormalActionNoise(zero, zero + self.action_noise),
             policy_kwargs=dict(net_arch=[self.net, self.net]),
             seed=seed,
         )
 
-    def resume(self, task: Task, checkpoint: Path):
+    def resume(self, worlds: Callable, checkpoint: Path):
         """The model of a checkpoint."""
         from sbx import TD3
 
-        model = TD3.load(checkpoint / "model.zip", env=self._env(task))
+        model = TD3.load(checkpoint / "model.zip", env=self._normalized(worlds))
         model.load_replay_buffer(checkpoint / "buffer.pkl")
         return model
 
@@ -79,21 +83,20 @@ class TD3Recipe:
         model.save(checkpoint / "model.zip")
         model.save_replay_buffer(checkpoint / "buffer.pkl")
 
-    def begin_segment(self, model, task: Task, done: float) -> None:
+    def begin_segment(self, model, worlds: Callable, done: float) -> None:
         """Forget the episode under way. ``done`` is the share of the training that lies behind."""
-        env = self._env(task)
+        env = self._normalized(worlds)
         seen = model.replay_buffer.observations[: model.replay_buffer.size()]
         if self.normalize and len(seen):
             # In float32: in float64 the normalising of batches would take longer than learning from them.
-            some = seen[:: max(1, len(seen) // 20_000)].reshape(-1, task.obs_dim)
+            some = seen[:: max(1, len(seen) // 20_000)].reshape(-1, seen.shape[-1])
             env.obs_rms.mean, env.obs_rms.var = some.mean(0), some.var(0)
         model.set_env(env)
 
-    def _env(self, task: Task):
-        from stable_baselines3.common.env_util import make_vec_env
+    def _normalized(self, worlds: Callable):
         from stable_baselines3.common.vec_env import VecNormalize
 
-        env = make_vec_env(lambda: _make(task), self.envs)
+        env = worlds(self.envs)
         return VecNormalize(env, training=False, norm_reward=False) if self.normalize else env
 
 
@@ -134,14 +137,14 @@ class PPORecipe:
             actor=[*layers, task.action_dim], value=[*layers, 1], n_critics=0, activation=self.activation, gaussian=True
         )
 
-    def start(self, task: Task, seed: int):
+    def start(self, worlds: Callable, seed: int):
         """A new model, untrained."""
         import jax
         from sbx import PPO
 
         return PPO(
             "MlpPolicy",
-            self._env(task),
+            self._normalized(worlds),
             learning_rate=self.learning_rate,
             n_steps=self.rollout,
             batch_size=self.batch,
@@ -158,12 +161,12 @@ class PPORecipe:
             seed=seed,
         )
 
-    def resume(self, task: Task, checkpoint: Path):
+    def resume(self, worlds: Callable, checkpoint: Path):
         """The model of a checkpoint, with its normaliser."""
         from sbx import PPO
         from stable_baselines3.common.vec_env import VecNormalize
 
-        env = VecNormalize.load(str(checkpoint / "normalizer.pkl"), self._env(task).venv)
+        env = VecNormalize.load(str(checkpoint / "normalizer.pkl"), worlds(self.envs))
         return PPO.load(checkpoint / "model.zip", env=env)
 
     def save(self, model, checkpoint: Path) -> None:
@@ -171,18 +174,35 @@ class PPORecipe:
         model.save(checkpoint / "model.zip")
         model.get_vec_normalize_env().save(str(checkpoint / "normalizer.pkl"))
 
-    def begin_segment(self, model, task: Task, done: float) -> None:
+    def begin_segment(self, model, worlds: Callable, done: float) -> None:
         """Forget the episodes under way. ``done`` is the share of the training that lies behind."""
-        env, old = self._env(task), model.get_vec_normalize_env()
+        env, old = self._normalized(worlds), model.get_vec_normalize_env()
         env.obs_rms, env.ret_rms = old.obs_rms, old.ret_rms
         model.set_env(env)
         model.lr_schedule = _Constant(self.learning_rate * (1 - done))
 
-    def _env(self, task: Task):
-        from stable_baselines3.common.env_util import make_vec_env
+    def _normalized(self, worlds: Callable):
         from stable_baselines3.common.vec_env import VecNormalize
 
-        return VecNormalize(make_vec_env(lambda: _make(task), self.envs), gamma=self.gamma)
+        return VecNormalize(worlds(self.envs), gamma=self.gamma)
+
+
+@dataclass(frozen=True)
+class AdversaryRecipe(PPORecipe):
+    """Hyperparameters of PPO for an adversary, which sees what the victim should see and perturbs it."""
+
+    steps: int = 409_600
+    entropy: float = 0.0  # weight of the entropy bonus
+
+    def config(self, task: Task) -> dict:
+        """The arguments of the ``Victim`` that the adversary is: its actions are perturbations."""
+        return super().config(replace(task, action_dim=task.obs_dim))
+
+    def start(self, worlds: Callable, seed: int):
+        """A new model, untrained."""
+        model = super().start(worlds, seed)
+        model.ent_coef = self.entropy
+        return model
 
 
 @dataclass(frozen=True)
@@ -193,6 +213,13 @@ class _Constant:
 
     def __call__(self, _) -> float:
         return self.rate
+
+
+def task_worlds(task: Task, n: int):
+    """n worlds of a task, where a victim is trained."""
+    from stable_baselines3.common.env_util import make_vec_env
+
+    return make_vec_env(lambda: _make(task), n)
 
 
 def _make(task: Task) -> gymnasium.Env:

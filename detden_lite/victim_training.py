@@ -1,9 +1,12 @@
-"""Training a victim with sbx-rl (stable-baselines3's algorithms in JAX), in segments that survive a kill."""
+"""Training a victim, or its adversary, with sbx-rl (stable-baselines3's algorithms in JAX), in segments that survive a
+kill."""
 
 import json
 import os
 import shutil
 import time
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +16,7 @@ from tqdm import tqdm
 from detden_lite.artifacts import replace_file, unwritable
 from detden_lite.draws import derived_seed
 from detden_lite.tasks import Task
-from detden_lite.victim_recipes import PPORecipe, TD3Recipe
+from detden_lite.victim_recipes import PPORecipe, TD3Recipe, task_worlds
 from detden_lite.victims import Victim
 
 # One thread: XLA's own threads would fight with the other runs on the machine for nothing.
@@ -23,7 +26,24 @@ XLA_FLAGS = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
 def train_victim(
     task: Task, recipe: TD3Recipe | PPORecipe, seed: int, folder: Path, checkpoint_seconds: float = 600
 ) -> list[Path]:
-    """Train, or go on training, and return the snapshots: one victim a segment, ``folder/snapshots/*.safetensors``.
+    """Train, or go on training, and return the snapshots; see ``train`` for what it raises."""
+    return train(task, recipe, seed, folder, partial(task_worlds, task), checkpoint_seconds=checkpoint_seconds)
+
+
+def train(
+    task: Task, recipe: TD3Recipe | PPORecipe, seed: int, folder: Path, worlds: Callable, about: Mapping | None = None,
+    checkpoint_seconds: float = 600,
+) -> list[Path]:  # fmt: skip
+    """Train, or go on training, and return the snapshots: one policy a segment, ``folder/snapshots/*.safetensors``.
+
+    Args:
+        task: what is trained for.
+        recipe: hyperparameters.
+        seed: of everything.
+        folder: for snapshots and the checkpoint.
+        worlds: ``worlds(n)`` makes n worlds to train in.
+        about: what else the snapshots of this folder have in common, ready for JSON.
+        checkpoint_seconds: see below.
 
     The checkpoint in ``folder/checkpoint`` is replaced after a segment when the last one is older than
     ``checkpoint_seconds``, and at the end; a kill loses what was trained since.
@@ -34,22 +54,22 @@ def train_victim(
     """
     os.environ.setdefault("XLA_FLAGS", XLA_FLAGS)
     folder = Path(folder)
-    _claim(folder, dict(task=task.name, seed=seed, **recipe.identity))
+    claim(folder, dict(task=task.name, seed=seed, **(about or {}), **recipe.identity))
     checkpoint, snapshots = folder / "checkpoint", folder / "snapshots"
     snapshots.mkdir(exist_ok=True)
     if not checkpoint.exists() and (old := checkpoint.with_name("checkpoint.old")).exists():
         old.rename(checkpoint)  # a kill came between the two renames of _save_checkpoint
     if checkpoint.exists():
-        model = recipe.resume(task, checkpoint)
+        model = recipe.resume(worlds, checkpoint)
         done = json.loads((checkpoint / "segments.json").read_text())
     else:
-        model, done = recipe.start(task, seed), 0
+        model, done = recipe.start(worlds, seed), 0
 
     segments, saved = recipe.steps // recipe.segment, time.monotonic()
     label = f"{type(model).__name__} {task.name} seed {seed}"
     with tqdm(total=recipe.steps, initial=done * recipe.segment, desc=label, unit="step") as bar:
         for segment in range(done, segments):
-            recipe.begin_segment(model, task, segment / segments)
+            recipe.begin_segment(model, worlds, segment / segments)
             model.set_random_seed(derived_seed(seed, segment))
             model.learn(recipe.segment, reset_num_timesteps=False)
             steps = (segment + 1) * recipe.segment
@@ -64,7 +84,8 @@ def train_victim(
     return sorted(snapshots.glob("*.safetensors"))
 
 
-def _claim(folder: Path, description: dict) -> None:
+def claim(folder: Path, description: dict) -> None:
+    """Make a folder and write down what it is for; a ValueError if it is there for something else."""
     folder.mkdir(parents=True, exist_ok=True)
     recipe_file = folder / "recipe.json"
     if recipe_file.exists() and json.loads(recipe_file.read_text()) != description:

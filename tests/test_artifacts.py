@@ -286,3 +286,21 @@ def test_writers_side_by_side_all_stand_in_the_manifest(tmp_path):
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(write, range(100)))
     assert set(json.loads((tmp_path / "manifest.json").read_text())) == {f"{i}.json" for i in range(100)}
+
+
+@pytest.mark.parametrize("kind", ["optimal", "linear"])
+def test_an_adversary_goes_to_disk_and_back(tmp_path, kind):
+    adversary, obs = Victim([11, 8, 11] if kind == "optimal" else [11, 11], gaussian=True), normal(5, 11)
+    artifacts.save_adversary("hopper", "td3", kind, adversary, dict(step=7), tmp_path)
+    assert torch.equal(artifacts.load_adversary("hopper", "td3", kind, tmp_path)(obs), adversary(obs))
+    other = "linear" if kind == "optimal" else "optimal"
+    with pytest.raises(ArtifactError, match="adversary.*is missing"):
+        artifacts.load_adversary("hopper", "td3", other, tmp_path)
+
+
+def test_what_is_no_adversary_is_refused(tmp_path):
+    artifacts.save_adversary("hopper", "td3", "optimal", make_victim(), {}, tmp_path)
+    with pytest.raises(ArtifactError, match="adversary.safetensors does not fit .*11 observations to 3 perturbations"):
+        artifacts.load_adversary("hopper", "td3", "optimal", tmp_path)
+    with pytest.raises(ValueError, match="kind must be optimal or linear, not 'best'"):
+        artifacts.load_adversary("hopper", "td3", "best", tmp_path)

@@ -6,7 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_budget import NORMS, cases, excess
 
-from detden_lite.attacks import EnchantingAttack, GaussianNoise, OppositeAttack, QFunctionAttack, UniformNoise
+from detden_lite.attacks import (
+    EnchantingAttack,
+    GaussianNoise,
+    OppositeAttack,
+    OptimalAttack,
+    QFunctionAttack,
+    UniformNoise,
+)
 from detden_lite.attacks.opposite import opposite_objective
 from detden_lite.attacks.qfunction import q_objective
 from detden_lite.budget import Budget
@@ -27,6 +34,15 @@ def opposite(budget, seed=0):
     return OppositeAttack(make_victim(), budget, steps=3, restarts=2, seed=seed)
 
 
+def make_adversary(obs_dim: int) -> Victim:
+    torch.manual_seed(1)
+    return Victim([obs_dim, 8, obs_dim], gaussian=True)
+
+
+def optimal(budget):
+    return OptimalAttack(make_adversary(11), budget)
+
+
 @steady
 @given(cases(), st.integers(0, 100))
 def test_noise_stays_in_the_ball(case, seed):
@@ -44,6 +60,17 @@ def test_the_opposite_attack_stays_in_the_ball(case, steps, restarts, gaussian):
     assert excess(budget, obs, attack_once(OppositeAttack(victim, budget, steps, restarts), obs)) <= 0
 
 
+@steady
+@given(cases(), st.floats(1e-3, 1e3), st.booleans())
+def test_the_optimal_attack_stays_in_the_ball(case, size, linear):
+    """Whatever its adversary puts out."""
+    budget, obs, _ = case
+    torch.manual_seed(0)
+    adversary = Victim([obs.shape[1], *([] if linear else [8]), obs.shape[1]], gaussian=True)
+    adversary.actor[-1].weight.mul_(size)
+    assert excess(budget, obs, attack_once(OptimalAttack(adversary, budget), obs)) <= 0
+
+
 @pytest.mark.parametrize("name", TASKS)
 def test_the_opposite_attack_on_every_task(name):
     task = TASKS[name]
@@ -53,7 +80,7 @@ def test_the_opposite_attack_on_every_task(name):
     assert (opposite_objective(victim, obs)(perturbed) > 0).all()
 
 
-@pytest.mark.parametrize("kind", [UniformNoise, GaussianNoise, opposite])
+@pytest.mark.parametrize("kind", [UniformNoise, GaussianNoise, opposite, optimal])
 @pytest.mark.parametrize("norm", NORMS)
 def test_epsilon_zero_changes_nothing(kind, norm):
     obs = normal(4, 11)
@@ -130,6 +157,7 @@ def test_attacks_declare_what_they_know():
     assert OppositeAttack(make_victim(), BUDGET).needs == {"policy"}
     assert QFunctionAttack(make_victim(), BUDGET).needs == {"policy", "critic"}
     assert EnchantingAttack(make_victim(), BUDGET, CEMPlanner("Hopper-v5")).needs == {"policy", "simulator"}
+    assert OptimalAttack(make_adversary(11), BUDGET).needs == {"adversary"}
 
 
 class Quadratic(Victim):
@@ -273,3 +301,24 @@ def test_the_enchanting_attack_brings_the_policy_to_the_planners_action():
     nearest = torch.full((20,), 0.3).clamp(action - reach, action + reach)
     assert (nearest == 0.3).any() and (nearest != 0.3).any()
     assert torch.allclose(found, nearest, atol=3e-3)
+
+
+def test_the_optimal_attack_adds_what_its_adversary_says_in_units_of_the_ball():
+    """Half the radius up in one observation; and a corner that is outside an l2 ball is brought to its surface."""
+    adversary, scale = Victim([3, 3], gaussian=True), torch.tensor([1.0, 2.0, 4.0])
+    adversary.actor[0].weight.zero_()
+    adversary.actor[0].bias.copy_(torch.tensor([0.5, 0.0, 0.0]))
+    obs = normal(5, 3)
+    for norm in NORMS:
+        perturbed = attack_once(OptimalAttack(adversary, Budget(0.2, norm, scale)), obs)
+        assert torch.allclose(perturbed - obs, torch.tensor([0.1, 0.0, 0.0]), atol=1e-6)
+    adversary.actor[0].bias.copy_(torch.tensor([7.0, -7.0, 7.0]))  # clipped to the corner (1, -1, 1)
+    for norm, length in zip(NORMS, (1, 3**0.5, 3), strict=True):
+        perturbed = attack_once(OptimalAttack(adversary, Budget(0.2, norm, scale)), obs)
+        assert torch.allclose(perturbed - obs, 0.2 / length * scale * torch.tensor([1.0, -1.0, 1.0]), atol=1e-6)
+
+
+@pytest.mark.parametrize("adversary", [make_adversary(17), make_victim()], ids=["another task", "a victim"])
+def test_an_adversary_of_another_task_is_refused(adversary):
+    with pytest.raises(ValueError, match="adversary: .*give the adversary of this task"):
+        attack_once(OptimalAttack(adversary, BUDGET), normal(4, 11))

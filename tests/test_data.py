@@ -125,7 +125,9 @@ def test_the_table_is_complete(folder):
 
 
 @pytest.mark.parametrize("folder", TABLES)
-@pytest.mark.parametrize("cell", [cell for cell in stages.cells(["none", "residual"]) if cell.attack == "opposite"], ids=str)
+@pytest.mark.parametrize(
+    "cell", [cell for cell in stages.cells(["none", "residual"]) if cell.attack == "opposite"], ids=str
+)
 def test_the_shipped_models_do_again_what_the_records_tell(folder, cell):
     """The share of 16 report episodes that have ended after 200 steps; rounding on another machine may change a few."""
     run = stages.Run.of(DATA, *folder.split("-"), "lite")

@@ -42,3 +42,11 @@ def test_moments():
 def test_rows_that_do_not_fit_the_episodes_are_refused():
     with pytest.raises(ValueError, match="3 rows for 2 episodes"):
         Draws(0, [1, 2]).normal(3, 4)
+
+
+def test_a_row_may_begin_another_episode_while_the_others_go_on():
+    draws, beside, anew = Draws(3, [5, 7]), Draws(3, [5]), Draws(3, [9])
+    draws.normal(2, 4), beside.normal(1, 4)
+    draws.restart(1, 9)
+    found = draws.normal(2, 4)
+    assert torch.equal(found[0], beside.normal(1, 4)[0]) and torch.equal(found[1], anew.normal(1, 4)[0])

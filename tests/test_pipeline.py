@@ -58,3 +58,21 @@ def test_an_observation_that_is_not_finite_is_refused_and_forgotten(value):
     with pytest.raises(ValueError, match="obs"):
         defense(broken)
     assert all(torch.equal(defense(o).obs, v.obs) for o, v in zip(obs.unbind(1), expected, strict=True))
+
+
+@pytest.mark.parametrize("steps", [0, 3])
+def test_a_row_may_begin_another_episode_while_the_others_go_on(steps):
+    """What it remembers is gone, and its random numbers are those of the new episode."""
+    obs, defense, beside, anew = normal(3, 10, 11), make_defense(), make_defense(), make_defense()
+    defense.reset([0, 1, 2])
+    beside.reset([0, 1, 2])
+    for o in obs[:, :steps].unbind(1):
+        defense(o), beside(o)
+    defense.restart(1, 9)
+    anew.reset([9])
+    for o in obs[:, steps:].unbind(1):
+        found, others, new = defense(o), beside(o), anew(o[1:2])
+        for name in ("obs", "score", "denoised"):
+            values = getattr(found, name)
+            assert torch.allclose(values[[0, 2]], getattr(others, name)[[0, 2]], atol=1e-5)
+            assert torch.allclose(values[1], getattr(new, name)[0], atol=1e-5)

@@ -17,14 +17,14 @@ from rulegraph import rule_graph
 
 from detden_lite import artifacts, durations, stages
 from detden_lite.runs import VARIANTS
-from detden_lite.scales import ALGORITHMS, SCALES
+from detden_lite.scales import ALGORITHMS, SCALES, get_scale
 from detden_lite.tasks import TASKS
 
 DATA = ROOT / "data"
 ROWS = [f"{task}-{algo}" for algo in ALGORITHMS for task in TASKS]
 JOBS = dict(
-    victim=12, select=10, qfunction=5, trajectories=11, augmentation=11, detector=11, denoiser=12, adversary=10,
-    evaluation=10, table=1, look=10, portrait=10, all=1,
+    victim=12, select=10, qfunction=5, trajectories=11, augmentation=11, detector=11, denoiser=12, timing=10,
+    choose=10, linear=10, attacks=10, evaluation=10, table=1, look=10, portrait=10, all=1,
 )  # fmt: skip
 
 
@@ -67,7 +67,9 @@ def test_every_scale_plans_the_whole_graph_for_all_ten_rows(tmp_path, scale):
     config = yaml.safe_load((DATA / "config" / f"{scale}.yaml").read_text())
     assert config["scale"] == scale and config["rows"] == ROWS
     printed = run(tmp_path, "--dry-run", "--printshellcmds", scale=scale)
-    assert planned(printed) == JOBS
+    members = [len(get_scale(scale, TASKS[row.split("-")[0]], row.split("-")[1]).adversaries) for row in ROWS]
+    assert planned(printed) == JOBS | dict(adversary=sum(members))
+    assert set(re.findall(r"--member (\d+)", printed)) == {str(member) for member in range(max(members))}
     assert set(re.findall(r"--scale (\w+)", printed)) == {scale}
     named = re.findall(r"detden_lite victim --task (\w+) --algo (\w+) .*--seed (\d)", printed)
     assert sorted(named) == sorted([*((*row.split("-"), "0") for row in ROWS), *(("hopper", "td3", s) for s in "12")])
@@ -82,9 +84,9 @@ def test_every_scale_plans_the_whole_graph_for_all_ten_rows(tmp_path, scale):
 )
 def test_a_cluster_gets_the_same_jobs_with_what_each_needs(tmp_path, settings):
     printed = run(tmp_path, "--dry-run", "--printshellcmds", "--executor", "dryrun", *settings, scale="lite")
-    assert planned(printed) == JOBS
+    assert planned(printed) == JOBS | dict(adversary=20)
     resources = re.findall(r"^(?:local)?rule (\w+):(?:\n    .*)*?\n    resources: (.*)", printed, re.M)
-    assert {rule for rule, _ in resources} >= set(JOBS) - {"all"}
+    assert {rule for rule, _ in resources} >= set(JOBS) | {"adversary"} - {"all"}
     for rule, asked in resources:
         assert rule == "all" or ("mem_mb=" in asked and "runtime=" in asked), rule
         assert ("slurm_account=my_account" in asked) == ("--profile" in settings)
@@ -100,8 +102,8 @@ def test_a_profile_is_for_the_executor_of_its_name(profile):
 def test_a_row_may_be_asked_for_alone_and_without_films(tmp_path):
     rows = planned(run(tmp_path, "--dry-run", "--config", "only=hopper-td3 ant-ppo", "films=false"))
     assert rows == dict(
-        victim=4, select=2, qfunction=1, trajectories=3, augmentation=3, detector=3, denoiser=4, adversary=2,
-        evaluation=2, table=1, all=1,
+        victim=4, select=2, qfunction=1, trajectories=3, augmentation=3, detector=3, denoiser=4, timing=2,
+        adversary=4, choose=2, linear=2, attacks=2, evaluation=2, table=1, all=1,
     )  # fmt: skip
 
 
@@ -132,10 +134,13 @@ def test_make_refuses_an_unknown_scale(tmp_path):
 
 def test_the_graph_for_the_book_is_that_of_the_stages():
     graph = rule_graph()
-    assert set(graph) == set(JOBS)
-    assert set(durations.STAGES) == set(JOBS) - {"table", "all"}
+    assert set(graph) == set(JOBS) | {"adversary"}
+    assert set(durations.STAGES) == set(graph) - {"table", "all"}
     assert {("victim", "select"), ("select", "qfunction"), ("qfunction", "trajectories")} <= set(graph.edges)
-    assert {rule for rule, head in graph.edges if head == "all"} == {"table", "look", "portrait"}
+    assert {("adversary", "choose"), ("choose", "attacks"), ("linear", "attacks"), ("attacks", "table")} <= set(
+        graph.edges
+    )
+    assert {rule for rule, head in graph.edges if head == "all"} >= {"table", "look", "portrait"}
 
 
 def files(folder: Path) -> dict[str, int]:
@@ -179,6 +184,7 @@ def test_a_run_makes_everything_of_its_row(killed):
     assert {path.stem for path in (folder / "results").glob("*.json")} == names
     assert artifacts.load_victim("hopper", "ppo", folder).critics
     artifacts.load_defense("hopper", "ppo", "residual", folder)
+    assert all(artifacts.load_adversary("hopper", "ppo", kind, folder).obs_dim == 11 for kind in ("optimal", "linear"))
     with (folder / "tables" / "returns.csv").open(newline="") as file:
         assert {
             ".".join([line[key] for key in ("row", "attack", "timing", "defense")]) for line in csv.DictReader(file)
@@ -188,7 +194,9 @@ def test_a_run_makes_everything_of_its_row(killed):
 def test_how_long_the_stages_took_is_measured(killed):
     record = durations.measure(killed[0])
     assert set(record["rows"]["hopper-ppo"]) == set(durations.STAGES) - {"look", "portrait"}
-    assert all(spent["jobs"] == 1 and spent["wall_seconds"] > 0 for spent in record["rows"]["hopper-ppo"].values())
+    spent = record["rows"]["hopper-ppo"]
+    assert all(stage["wall_seconds"] > 0 for stage in spent.values())
+    assert {name: stage["jobs"] for name, stage in spent.items()} == dict.fromkeys(spent, 1) | dict(adversary=2)
 
 
 def test_a_finished_run_has_nothing_to_do_and_what_is_lost_is_made_anew(killed):

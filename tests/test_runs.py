@@ -18,6 +18,9 @@ def test_with_another_victim_goes_what_was_made_of_the_last_and_nothing_else(tmp
         "hopper-td3/timing.json",
         "hopper-td3/normal-plain/00000.json",
         "hopper-td3/checkpoints/denoiser-printed.ckpt",
+        "hopper-td3/checkpoints/adversary-0/recipe.json",
+        "hopper-td3/checkpoints/linear/recipe.json",
+        "hopper-td3/adversary.json",
     ]
     made += ["results/hopper-td3.none.always.none.json", "results/hopper-td3.done"]
     kept = ["hopper-td3/checkpoints/victim-0/recipe.json", "results/hopper-ppo.none.always.none.json"]

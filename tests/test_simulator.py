@@ -45,6 +45,23 @@ def test_an_ended_world_stays_as_it_is_until_the_next_reset():
     assert np.array_equal(simulator.reset(), first) and simulator.alive.all()
 
 
+def test_one_world_may_start_another_episode_while_the_others_go_on():
+    simulator, alone = Simulator("Hopper-v5", [0, 1]), Simulator("Hopper-v5", [7])
+    simulator.reset()
+    action = np.ones((2, 3), np.float32)
+    while simulator.alive[1]:
+        obs, _, _ = simulator.step(action)
+    first = simulator.restart(1, 7)
+    assert np.array_equal(first, alone.reset()[0]) and simulator.alive[1] and simulator.seeds == [0, 7]
+    before = simulator.state()[0]
+    simulator.alive[0] = True
+    for _ in range(5):
+        obs, reward, _ = simulator.step(action)
+        expected = alone.step(action[:1])
+        assert np.array_equal(obs[1], expected[0][0]) and reward[1] == expected[1][0]
+    assert not np.array_equal(simulator.state()[0], before)
+
+
 def test_what_was_returned_is_not_written_over():
     simulator = Simulator("Hopper-v5", [0])
     first = simulator.reset()

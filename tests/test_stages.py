@@ -25,9 +25,9 @@ from detden_lite.runs import load_shard
 from detden_lite.study import seeds
 from detden_lite.victims import Victim
 
-ORDER = ["victim", "select", "collect", "augment", "detector", "denoiser", "adversary", "evaluate"]
-
-
+ORDER = ["victim", "select", "collect", "augment", "detector", "denoiser"]
+ORDER += ["timing", "adversary", "choose", "linear", "evaluate"]
+ADVERSARIES = ["adversary", "adversary-linear"]
 PPO_ORDER = [*ORDER[:2], "qfunction", *ORDER[2:]]
 
 
@@ -80,7 +80,8 @@ def test_the_recipe_makes_everything_that_the_library_loads(request, algo):
     assert victim.obs_dim == defense.detector.model.obs_dim == 11 and defense.denoiser.model.config["residual"]
     for cell in stages.cells(["none", "residual"]):
         record = artifacts.load_record(cell.record_name("hopper", algo), tiny)
-        assert len(record["returns"]) == 4 and record["estimate"]["mean"] == pytest.approx(np.mean(record["returns"]))
+        assert len(record["returns"]) == (2 if cell.attack == "enchanting" else 4)
+        assert record["estimate"]["mean"] == pytest.approx(np.mean(record["returns"]))
     assert set(json.loads((tiny / "manifest.json").read_text())) | {"manifest.json"} >= {
         name for name in contents(tiny) if "checkpoints" not in name and not name.startswith(".")
     }
@@ -102,7 +103,7 @@ def test_the_timing_is_tuned_on_the_value_network_and_not_on_the_learned_q(tiny_
     before = (copy / "hopper-ppo" / "timing.json").read_bytes()
     for name in ("timing.json", "critic.json", "critic.safetensors"):
         (copy / "hopper-ppo" / name).unlink()
-    run_stage(copy, "adversary", algo="ppo")
+    run_stage(copy, "timing", algo="ppo")
     assert (copy / "hopper-ppo" / "timing.json").read_bytes() == before
 
 
@@ -177,7 +178,7 @@ def test_what_is_lost_or_harmed_is_made_anew_and_the_same(tiny, copy):
         "augment": ["hopper-td3/adversarial-diverse/00000.json"],
         "detector": ["hopper-td3/detector-diverse.safetensors"],
         "denoiser": ["hopper-td3/denoiser-residual.json"],
-        "adversary": ["hopper-td3/timing.json"],
+        "timing": ["hopper-td3/timing.json"],
         "evaluate": ["results/hopper-td3.opposite.always.residual.json"],
     }
     for harmed in (f"{shard}.safetensors",):
@@ -214,9 +215,13 @@ def test_without_a_snapshot_there_is_nothing_to_select(copy):
         ("augment", ["victim.*"], "normal-diverse.*00000.safetensors is missing"),
         ("detector", ["victim.*"], "normal-diverse is empty; run the collect stage first"),
         ("denoiser", ["victim.*", "normal-diverse"], "adversarial-diverse is empty; run the augment stage first"),
+        ("timing", [], "victim.safetensors is missing"),
         ("adversary", [], "victim.safetensors is missing"),
+        ("choose", ["victim.*"], "no snapshot of an adversary; run the adversary stage first"),
+        ("linear", [], "victim.safetensors is missing"),
         ("evaluate", ["victim.*"], "timing.json is missing"),
-        ("evaluate", ["victim.*", "timing.json"], "denoiser-residual.safetensors is missing"),
+        ("evaluate", ["victim.*", "timing.json"], "adversaries: the linear one is missing; run its stage first"),
+        ("evaluate", ["victim.*", "timing.json", "adversary*"], "denoiser-residual.safetensors is missing"),
     ],
 )
 def test_a_stage_out_of_order_says_what_is_missing(tiny, tmp_path, stage, made, message):
@@ -327,7 +332,7 @@ def command_line(*arguments: str, data: Path | None = None) -> subprocess.Comple
 def test_the_command_line_publishes_models_and_records_but_no_trajectories(tiny, tmp_path):
     assert command_line("publish", "--scale", "tiny", "--root", str(tiny), data=tmp_path).returncode == 0
     published = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()}
-    models = {f"hopper-td3/{name}" for name in ("victim", "detector-diverse", "denoiser-residual")}
+    models = {f"hopper-td3/{name}" for name in ("victim", "detector-diverse", "denoiser-residual", *ADVERSARIES)}
     records = {f"results/{cell.record_name('hopper', 'td3')}.json" for cell in stages.cells(["none", "residual"])}
     expected = {f"{name}.{ending}" for name in models for ending in ("json", "safetensors")} | records
     assert published - {".manifest.lock"} == expected | {"hopper-td3/timing.json", "manifest.json"}

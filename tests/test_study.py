@@ -1,13 +1,16 @@
 import json
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import pytest
+import torch
 from builders import BUDGET, HOPPER, make_defense, make_victim
 
 from detden_lite.attacks import OppositeAttack, Vulnerable
 from detden_lite.rollout import rollout
 from detden_lite.study import SEEDS, Cell, Threat, run_cell, seeds, tune_vulnerable
+from detden_lite.victims import Victim
 
 THREAT = Threat(BUDGET, steps=3, restarts=2, c_vul=0.1, rate=0.5)
 
@@ -93,3 +96,16 @@ def test_the_vulnerable_timing_does_the_most_damage_a_strike_of_those_that_keep_
     assert episodes.returns.mean() == pytest.approx(row["mean_return"])
     attacks = (episodes.attacked & episodes.mask).sum(0)
     assert np.mean(attacks) == row["attacks"] and found["attack_rate"] == attacks.sum() / episodes.mask.sum()
+
+
+@pytest.mark.parametrize("name", ["optimal", "linear"])
+def test_a_learned_adversary_attacks_in_a_cell_once_it_is_given(victim, name):
+    with pytest.raises(ValueError, match=f"adversaries: the {name} one is missing"):
+        run(victim, Cell(name))
+    torch.manual_seed(0)
+    adversary = Victim([11, 11], gaussian=True)
+    threat = replace(THREAT, adversaries={name: adversary})
+    record, episodes = run_cell(Cell(name), HOPPER, victim, threat, None, seeds("report", 4), steps=10)
+    assert record["settings"] == dict(epsilon=0.075, norm="inf") and record["attack_rate"] == 1
+    obs = torch.from_numpy(episodes.obs[0])
+    assert torch.allclose(torch.from_numpy(episodes.perturbed[0]), obs + 0.075 * adversary(obs), atol=1e-6)

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from safetensors.torch import load_file
 
 from detden_lite import victim_training
 from detden_lite.tasks import get_task
+from detden_lite.victim_recipes import task_worlds
 from detden_lite.victim_training import PPORecipe, TD3Recipe, train_victim
 from detden_lite.victims import Victim
 
@@ -23,6 +25,7 @@ RECIPES = dict(
     td3=TD3Recipe(steps=1_000, segment=200, net=16, batch=16, buffer=500, learning_starts=100),
     ppo=PPORecipe(steps=1_280, segment=256, net=16, envs=4, rollout=32, batch=32, epochs=2),
 )
+WORLDS = partial(task_worlds, HOPPER)
 TRAIN = """
 from pathlib import Path
 from detden_lite import victim_training
@@ -81,7 +84,7 @@ def test_a_training_that_is_killed_and_resumed_is_one_that_never_stopped(tmp_pat
 
 
 def saved_model(folder: Path, recipe):
-    return recipe.resume(HOPPER, folder / "checkpoint")
+    return recipe.resume(WORLDS, folder / "checkpoint")
 
 
 def test_a_checkpoint_remembers_the_returns_of_the_last_episodes(uninterrupted, recipe):
@@ -94,9 +97,9 @@ def test_a_checkpoint_remembers_the_returns_of_the_last_episodes(uninterrupted, 
 def test_ppo_keeps_the_statistics_of_its_normaliser_from_segment_to_segment():
     """They count every observation and become the victim's first layer; rewards have statistics of their own."""
     recipe = RECIPES["ppo"]
-    model = recipe.start(HOPPER, 0)
+    model = recipe.start(WORLDS, 0)
     for segment in range(2):
-        recipe.begin_segment(model, HOPPER, segment / 2)
+        recipe.begin_segment(model, WORLDS, segment / 2)
         model.set_random_seed(segment)
         model.learn(recipe.segment, reset_num_timesteps=False)
     statistics = model.get_vec_normalize_env()
@@ -136,9 +139,9 @@ def test_a_checkpoint_of_ppo_holds_its_normaliser(tmp_path):
 
 def test_the_learning_rate_of_ppo_falls_from_segment_to_segment_to_zero():
     recipe = RECIPES["ppo"]
-    model, rates = recipe.start(HOPPER, 0), []
+    model, rates = recipe.start(WORLDS, 0), []
     for done in (0, 0.4, 0.8):
-        recipe.begin_segment(model, HOPPER, done)
+        recipe.begin_segment(model, WORLDS, done)
         model.learn(recipe.envs * recipe.rollout, reset_num_timesteps=False)
         for state in (model.policy.actor_state, model.policy.vf_state):
             rates.append(float(state.opt_state[1].hyperparams["learning_rate"]))

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from detden_lite.budget import Budget
-from detden_lite.defense.gruvae import GRUVAE
+from detden_lite.defense.gruvae import GRUVAE, forget
 from detden_lite.draws import Draws
 
 
@@ -27,6 +27,11 @@ class Denoiser:
     def reset(self, episodes: Sequence[int]) -> None:
         """Begin new episodes, one seed each."""
         self.state, self.draws = None, Draws(self.seed, episodes)
+
+    def restart(self, i: int, episode: int) -> None:
+        """Begin a new episode in row i; the others go on."""
+        self.state = forget(self.state, i)
+        self.draws.restart(i, episode)
 
     @torch.no_grad()
     def step(self, obs: Tensor) -> Tensor:

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from detden_lite.defense.augmentation import Trajectories
-from detden_lite.defense.gruvae import GRUVAE
+from detden_lite.defense.gruvae import GRUVAE, forget
 from detden_lite.draws import Draws
 
 
@@ -32,6 +32,11 @@ class Detector:
     def reset(self, episodes: Sequence[int]) -> None:
         """Begin new episodes, one seed each."""
         self.state, self.draws = None, Draws(self.seed, episodes)
+
+    def restart(self, i: int, episode: int) -> None:
+        """Begin a new episode in row i; the others go on."""
+        self.state = forget(self.state, i)
+        self.draws.restart(i, episode)
 
     @torch.no_grad()
     def step(self, obs: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -37,6 +37,11 @@ class DetectAndDenoise:
         self.detector.reset(episodes)
         self.denoiser.reset(episodes)
 
+    def restart(self, i: int, episode: int) -> None:
+        """Begin a new episode in row i; the others go on."""
+        self.detector.restart(i, episode)
+        self.denoiser.restart(i, episode)
+
     def __call__(self, obs: Tensor) -> Verdict:
         """Judge one observation of each episode, ``[N, obs_dim]``.
 

@@ -3,7 +3,7 @@ planner against a loop over one environment. Run by ``make bench``; the peers ar
 
     uv pip install --python .venv torchattacks foolbox adversarial-robustness-toolbox
 
-One thread, CPU times, what is compared is measured in turns; only the planner has two threads and takes wall-clock time.
+One thread and CPU times; what is compared is measured in turns. The planner alone has two threads and wall-clock time.
 """
 
 from collections.abc import Callable
@@ -146,14 +146,10 @@ def offline(obs_dim: int, action_dim: int, limit: float) -> None:
             found = torch.cat([attack(part) for part in some.split(BATCH)])
             speeds[name].append(len(some) / (process_time() - start))
             assert Budget(EPSILON).contains(some, found).all(), name
-            objective[name] = float(
-                torch.cat(
-                    [opposite_objective(victim, o)(x) for o, x in zip(some.split(BATCH), found.split(BATCH))]
-                ).mean()
-            )
+            objective[name] = float(opposite_objective(victim, some)(found).mean())
     speed = {name: float(np.median(values)) for name, values in speeds.items()}
     print(
-        f"\nPGD-{STEPS} on [{ROWS:,} x {obs_dim}], {HIDDEN} x {HIDDEN}, {action_dim} actions; medians of {ROUNDS} rounds"
+        f"\nPGD-{STEPS} on rows of [{ROWS:,} x {obs_dim}], {HIDDEN} x {HIDDEN}, {action_dim} actions; {ROUNDS} rounds"
     )
     for name, samples in speed.items():
         reached = f"{samples * products(victim) / limit:.0%} of the sgemm peak" if name == "float32" else ""

@@ -1,0 +1,106 @@
+"""The stages that make a victim's adversaries: train a grid of them, search for a linear one, choose, and ship."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import torch
+
+from detden_lite import artifacts, linear_search, selection, study, victim_training
+from detden_lite.attacks import OptimalAttack
+from detden_lite.linear_search import LinearMaps, LinearRecipe
+from detden_lite.rollout import rollout
+from detden_lite.runs import Run
+from detden_lite.victim_recipes import AdversaryRecipe
+from detden_lite.victims import Victim
+
+SCREENING, SELECTION = 5, 32  # episodes of each snapshot
+
+
+def train_member(run: Run, member: int) -> None:
+    """Train one member of the grid by PPO; its snapshots are kept in the run's checkpoints.
+
+    Raises:
+        ValueError: if the grid has no such member.
+    """
+    from stable_baselines3.common.vec_env import VecMonitor
+
+    from detden_lite.adversary_env import AdversaryEnv  # needs stable-baselines3
+
+    grid, victim = run.scale.adversaries, run.victim()
+    if not 0 <= member < len(grid):
+        raise ValueError(f"member must be between 0 and {len(grid) - 1} at this scale, not {member}")
+
+    def worlds(n: int):
+        return VecMonitor(AdversaryEnv(victim, run.task, run.budget, n, steps=run.scale.horizon))
+
+    folder = run.folder / "checkpoints" / f"adversary-{member}"
+    victim_training.train(run.task, grid[member], member, folder, worlds, _about(run))
+
+
+def choose(run: Run) -> None:
+    """Ship the member's snapshot that leaves the victim the least.
+
+    Raises:
+        ValueError: if no member was trained.
+    """
+    _ship(run, "optimal", AdversaryRecipe, sorted((run.folder / "checkpoints").glob("adversary-*")))
+
+
+def search_linear(run: Run, seed: int = 0) -> None:
+    """Search for a linear adversary, and ship the generation's mean that leaves the victim the least."""
+    recipe, victim, normal = run.scale.linear, run.victim(), 8
+    clean = rollout(victim, run.task, study.seeds("search", normal), steps=run.scale.horizon)
+    played = study.seeds("search", normal + recipe.generations * recipe.episodes)[normal:]
+
+    def measure(adversaries: LinearMaps, generation: int) -> torch.Tensor:
+        """All members of the population play the same episodes."""
+        n, k = len(adversaries.maps), recipe.episodes
+        rows = LinearMaps(adversaries.normalizer, adversaries.maps.repeat_interleave(k, 0))
+        episodes = list(played[generation * k : (generation + 1) * k]) * n
+        attacked = rollout(victim, run.task, episodes, attack=OptimalAttack(rows, run.budget), steps=run.scale.horizon)
+        return torch.from_numpy(attacked.returns.reshape(n, k).mean(1))
+
+    folder = run.folder / "checkpoints" / "linear"
+    linear_search.search(recipe, run.task, seed, folder, clean.obs[clean.mask], measure, _about(run))
+    _ship(run, "linear", LinearRecipe, [folder])
+
+
+def _about(run: Run) -> dict:
+    """Whom the adversary learned to harm, and what it may do."""
+    victim = artifacts.promised(run.folder / "victim.safetensors", run.root)
+    return dict(
+        algo=run.algo, victim=victim, epsilon=run.budget.epsilon, norm=str(run.budget.norm), horizon=run.scale.horizon
+    )
+
+
+def _ship(run: Run, kind: str, recipe: type, folders: Iterable[Path]) -> None:
+    """Choose on episodes that nothing else uses. Records of another adversary's attacks are removed."""
+    folders = [folder for folder in folders if any((folder / "snapshots").glob("*.safetensors"))]
+    if not folders:
+        where = run.folder / "checkpoints"
+        raise ValueError(f"{where} holds no snapshot of an adversary; run the adversary stage first")
+    victim, n = run.victim(), min(SELECTION, run.scale.episodes)
+    seeds = study.seeds("adversary", SCREENING + n)
+    episodes = dict(screening=seeds[:SCREENING], selection=seeds[SCREENING:])
+
+    def mean(adversary: Victim | None, purpose: str) -> float:
+        attack = OptimalAttack(adversary, run.budget) if adversary else None
+        played = rollout(victim, run.task, episodes[purpose], attack=attack, steps=run.scale.horizon)
+        return float(played.returns.mean())
+
+    chosen = selection.choose(run.task, recipe, folders, mean, sign=-1)
+    sidecar = dict(
+        task=run.task.name,
+        algo=run.algo,
+        recipe=chosen.recipe,
+        step=chosen.step,
+        selection_mean=chosen.selection,
+        clean_mean=mean(None, "selection"),
+        selection_seeds=[episodes["selection"][0], n],
+        learning_curves=chosen.curves,
+    )
+    path = artifacts.adversary_path(run.task.name, run.algo, kind, run.root)
+    if artifacts.promised(path, run.root) not in (None, artifacts.digest(chosen.policy.state_dict())):
+        for record in (run.root / "results").glob(f"{run.folder.name}.{kind}.*"):
+            record.unlink()
+    artifacts.save_adversary(run.task.name, run.algo, kind, chosen.policy, sidecar, run.root)

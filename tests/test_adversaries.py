@@ -1,0 +1,165 @@
+import json
+import shutil
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+import torch
+from builders import BUDGET, HOPPER, make_victim
+from safetensors.torch import load_file, save_file
+from stable_baselines3.common.vec_env import VecMonitor
+
+from detden_lite import adversaries, artifacts, study, victim_training
+from detden_lite.adversary_env import AdversaryEnv
+from detden_lite.attacks import OptimalAttack
+from detden_lite.rollout import rollout
+from detden_lite.runs import Run
+from detden_lite.victim_recipes import AdversaryRecipe
+from detden_lite.victim_training import train
+from detden_lite.victims import Victim
+
+RECIPE = AdversaryRecipe(steps=512, segment=128, net=16, envs=4, rollout=32, batch=32, epochs=2, entropy=0.01)
+
+
+def worlds(n: int):
+    return VecMonitor(AdversaryEnv(make_victim(seed=8), HOPPER, BUDGET, n, steps=20))
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in (folder / "snapshots").iterdir()}
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("trained")
+    train(HOPPER, RECIPE, 0, folder, worlds, dict(victim="a"))
+    return folder
+
+
+def test_a_snapshot_is_a_policy_whose_actions_are_perturbations(trained):
+    states = [load_file(path) for path in sorted((trained / "snapshots").iterdir())]
+    assert len(states) == 4 and not torch.equal(states[0]["actor.0.weight"], states[1]["actor.0.weight"])
+    adversary = Victim.from_state(RECIPE.config(HOPPER), states[-1])
+    assert (adversary.obs_dim, adversary.action_dim) == (11, 11) and (adversary.obs_std != 1).all()
+    assert (adversary.action_low == -1).all() and (adversary.action_high == 1).all()
+
+
+def test_a_training_that_is_interrupted_and_resumed_is_one_that_never_stopped(trained, tmp_path, monkeypatch):
+    class Interrupting(victim_training.tqdm):
+        def update(self, n=1):
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(victim_training, "tqdm", Interrupting)
+        train(HOPPER, RECIPE, 0, tmp_path, worlds, dict(victim="a"), checkpoint_seconds=0)
+    assert len(contents(tmp_path)) == 1 and (tmp_path / "checkpoint" / "segments.json").read_text() == "1"
+    train(HOPPER, RECIPE, 0, tmp_path, worlds, dict(victim="a"))
+    assert contents(tmp_path) == contents(trained)
+    model = RECIPE.resume(worlds, tmp_path / "checkpoint")
+    assert model.num_timesteps == 512 and model.ent_coef == 0.01
+
+
+def test_a_folder_with_the_adversary_of_another_victim_is_refused(trained):
+    with pytest.raises(ValueError, match="recipe.json describes another run"):
+        train(HOPPER, RECIPE, 0, trained, worlds, dict(victim="b"))
+
+
+@pytest.fixture
+def run(tmp_path) -> Run:
+    """A run with a victim that falls at different times, and no more."""
+    artifacts.save_victim("hopper", "td3", make_victim(seed=8), {}, tmp_path)
+    return Run.of(tmp_path, "hopper", "td3", "tiny")
+
+
+def add_member(run: Run, member: int, seeds) -> list[Path]:
+    """A training that was, with random snapshots."""
+    folder = run.folder / "checkpoints" / f"adversary-{member}"
+    (folder / "snapshots").mkdir(parents=True)
+    (folder / "recipe.json").write_text(json.dumps(dict(net=16, seed=member)))
+    config = AdversaryRecipe(net=16).config(HOPPER)
+    for seed in seeds:
+        torch.manual_seed(seed)
+        adversary = Victim(**config)
+        adversary.actor[-1].weight.mul_(20)
+        save_file(adversary.state_dict(), folder / "snapshots" / f"{seed:08d}.safetensors")
+    return sorted((folder / "snapshots").iterdir())
+
+
+def left(run: Run, path: Path, episodes) -> float:
+    """The mean return of the victim against a snapshot."""
+    adversary = Victim.from_state(AdversaryRecipe(net=16).config(HOPPER), load_file(path))
+    attack = OptimalAttack(adversary, run.budget)
+    return float(rollout(run.victim(), HOPPER, episodes, attack=attack, steps=50).returns.mean())
+
+
+def test_the_chosen_adversary_is_the_one_that_leaves_the_least(run):
+    paths = [*add_member(run, 0, range(6)), *add_member(run, 1, range(6, 14))]
+    adversaries.choose(run)
+    episodes = study.seeds("adversary", 5 + 4)
+    screening = {path: left(run, path, episodes[:5]) for path in paths}
+    selection = {path: left(run, path, episodes[5:]) for path in sorted(paths, key=screening.get)[:10]}
+    best = min(selection, key=selection.get)
+    card = artifacts.read_json(run.folder / "adversary.json", run.root)
+    assert len(set(screening.values())) == 14 and selection[best] < sorted(selection.values())[1]
+    assert card["step"] == int(best.stem) and card["selection_mean"] == pytest.approx(selection[best])
+    assert card["recipe"]["seed"] == int(best.stem) // 6 - (best.stem > f"{11:08d}")
+    clean = rollout(run.victim(), HOPPER, episodes[5:], steps=50).returns.mean()
+    assert card["clean_mean"] == pytest.approx(clean) and card["selection_seeds"] == [episodes[5], 4]
+    curves = card["learning_curves"]
+    assert [curve["steps"] for curve in curves] == [list(range(6)), list(range(6, 14))]
+    assert [m for curve in curves for m in curve["mean"]] == pytest.approx(list(screening.values()))
+    shipped = artifacts.load_adversary("hopper", "td3", "optimal", run.root)
+    assert artifacts.digest(shipped.state_dict()) == artifacts.digest(load_file(best))
+
+
+def test_with_another_adversary_go_the_records_of_the_last(run):
+    add_member(run, 0, [0])
+    records = [run.root / "results" / f"hopper-td3.{name}.always.none.json" for name in ("optimal", "linear", "none")]
+    adversaries.choose(run)
+    for path in records:
+        artifacts.write_json(path, {}, run.root)
+    adversaries.choose(run)
+    assert all(path.exists() for path in records)
+    shutil.rmtree(run.folder / "checkpoints" / "adversary-0")
+    add_member(run, 0, [1])
+    adversaries.choose(run)
+    assert [path.exists() for path in records] == [False, True, True]
+
+
+@pytest.mark.parametrize("harm", [lambda path: path.write_bytes(path.read_bytes()[:-10]),
+                                  lambda path: save_file(make_victim().state_dict(), path)],
+                         ids=["truncated", "another network"])  # fmt: skip
+def test_a_bad_snapshot_is_refused(run, harm):
+    harm(add_member(run, 0, [0, 1])[1])
+    with pytest.raises(
+        artifacts.ArtifactError, match="00000001.safetensors is truncated, or of.*; remove .*adversary-0"
+    ):
+        adversaries.choose(run)
+    assert not (run.folder / "adversary.json").exists()
+
+
+def test_the_grid_has_no_other_members(run):
+    for member in (-1, 2):
+        with pytest.raises(ValueError, match=f"member must be between 0 and 1 at this scale, not {member}"):
+            adversaries.train_member(run, member)
+
+
+def test_a_member_is_trained_on_the_victim_of_the_run_within_its_budget(run):
+    adversaries.train_member(run, 1)
+    recipe = json.loads((run.folder / "checkpoints" / "adversary-1" / "recipe.json").read_text())
+    promised = artifacts.promised(run.folder / "victim.safetensors", run.root)
+    about = dict(task="hopper", algo="td3", seed=1, victim=promised, epsilon=0.075, norm="inf", horizon=50)
+    assert recipe == about | asdict(run.scale.adversaries[1])
+    assert len(contents(run.folder / "checkpoints" / "adversary-1")) == 2
+
+
+def test_a_linear_adversary_is_searched_and_shipped(run):
+    adversaries.search_linear(run)
+    shipped = artifacts.load_adversary("hopper", "td3", "linear", run.root)
+    assert shipped.config["actor"] == [11, 11] and (shipped.obs_std != 1).any()
+    card = artifacts.read_json(run.folder / "adversary-linear.json", run.root)
+    assert card["step"] in (1, 2) and card["recipe"]["population"] == 8
+    before = (run.folder / "adversary-linear.safetensors").read_bytes()
+    shutil.rmtree(run.folder / "checkpoints")
+    adversaries.search_linear(run)
+    assert (run.folder / "adversary-linear.safetensors").read_bytes() == before
