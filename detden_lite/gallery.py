@@ -65,12 +65,12 @@ def gallery(
     """
     from detden_lite import films, recordings
 
-    victim, defense = run.victim(), run.defense(variant)
+    victim, defense, threat = run.victim(), run.defense(variant), run.threat()
     steps = min(steps, run.scale.horizon)
     begin = min(begin, steps // 2)
 
     def play(name: str, **defended) -> Episodes:
-        attack = run.untimed_threat.attack(name, victim, run.task)
+        attack = threat.attack(name, victim, run.task)
         return rollout(
             victim, run.task, study.seeds("report", n), attack=attack, timing=After(begin), steps=steps, **defended
         )
