@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from detden_lite import adversaries, durations, stages, study, tables
+from detden_lite import adversaries, durations, gallery, stages, study, sweeps, tables
 from detden_lite.artifacts import ArtifactError
 from detden_lite.scales import ALGORITHMS, SCALES
 from detden_lite.tasks import TASKS
@@ -64,10 +64,17 @@ def parser() -> argparse.ArgumentParser:
         "--attacks", nargs="+", choices=["none", *study.ATTACKS], default=["none", *study.ATTACKS],
         help="default: all of them",
     )  # fmt: skip
-    add("look", stages.look, "record and film an episode, attacked and not (needs a GL driver)").add_argument(
+    add("epsilon", sweeps.epsilon, "attack at several sizes of the ball")
+    add("planning", sweeps.planning, "run the enchanting attack with several planners")
+    add("look", gallery.look, "record and film an episode, attacked and not (needs a GL driver)").add_argument(
         "--variant", choices=stages.VARIANTS, default="residual", help="default: %(default)s"
     )
-    add("portrait", stages.portrait, "film a clean episode of the victim (needs a GL driver)")
+    add("portrait", gallery.portrait, "film a clean episode of the victim (needs a GL driver)")
+    shown = add("gallery", gallery.gallery, "film and record an episode under each attack (needs a GL driver)")
+    shown.add_argument(
+        "--attacks", nargs="+", choices=study.ATTACKS, default=list(study.FOUR), help="default: %(default)s"
+    )  # fmt: skip
+    shown.add_argument("--variant", choices=stages.VARIANTS, default="residual", help="default: %(default)s")
     add("publish", stages.publish, "copy what is shipped into data/")
     add("table", tables.write, "gather the records of all victims in one table", parents=[where])
     add("durations", durations.show, "print how long each stage takes", parents=[where]).add_argument(

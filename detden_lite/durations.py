@@ -10,7 +10,7 @@ from detden_lite import artifacts
 
 STAGES = (
     "victim", "select", "qfunction", "trajectories", "augmentation", "detector", "denoiser", "timing", "adversary",
-    "choose", "linear", "attacks", "evaluation", "look", "portrait",
+    "choose", "linear", "attacks", "evaluation", "look", "portrait", "epsilon", "planning", "gallery",
 )  # fmt: skip
 RECORD = "durations.json"  # in data/
 

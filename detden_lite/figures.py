@@ -21,6 +21,9 @@ BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, GREY, BLACK = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#767676", "#1a1a1a",
 )  # fmt: skip
 PALETTE = dict(clean=BLUE, attacked=VERMILLION, defended=GREEN, perturbed=PURPLE, noise=ORANGE, paper=GREY)
+ATTACKS = dict(
+    uniform=ORANGE, opposite=VERMILLION, qfunction=PURPLE, optimal=SKY, linear=GREY, enchanting=BLACK
+)  # where several attacks share a figure
 TRACES = dict(obs=BLUE, perturbed=PURPLE, denoised=GREEN)  # the signals of an episode, in the order they arise
 STYLE = {
     "figure.figsize": (7.2, 3.2),

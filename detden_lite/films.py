@@ -29,10 +29,11 @@ def film(
     *,
     seconds: float = 10.0,
     fps: int = 25,
+    speed: float = 1.0,
     width: int = 300,
     quality: int = 27,
 ) -> Path:
-    """Write an H.264 film of one episode of each kind, side by side, at the speed at which it happened.
+    """Write an H.264 film of one episode of each kind, side by side.
 
     Args:
         path: the .mp4 file to write.
@@ -41,6 +42,7 @@ def film(
         index: which episode of each.
         seconds: the longest that the film may be; it ends with its last episode.
         fps: frames a second.
+        speed: 1 shows it as fast as it happened, 0.5 half as fast.
         width: of one robot's square picture, pixels; even.
         quality: x264's constant rate factor, lower is better and larger.
 
@@ -52,11 +54,11 @@ def film(
         RuntimeError: if no GL driver is found.
     """
     path = _checked(path, ".mp4", width)
-    if not (seconds > 0 and fps > 0):
-        raise ValueError(f"seconds and fps: {seconds} and {fps} must be positive")
+    if not (seconds > 0 and fps > 0 and speed > 0):
+        raise ValueError(f"seconds, fps and speed: {seconds}, {fps} and {speed} must be positive")
     robot = Robot.of(task)
     shots = takes(robot, episodes, index)
-    longest = max(len(shot.positions) for shot in shots) * robot.dt
+    longest = max(len(shot.positions) for shot in shots) * robot.dt / speed
     frames = max(1, round(min(seconds, longest) * fps))
     size = (width * len(shots), width + CAPTION)
     # Faststart puts the index first, so that a browser can begin before it has everything.
@@ -67,7 +69,7 @@ def film(
         )
         writer.send(None)
         for frame in range(frames):
-            writer.send(studio.row(shots, round(frame / fps / robot.dt)).tobytes())
+            writer.send(studio.row(shots, round(frame / fps * speed / robot.dt)).tobytes())
         writer.close()
     return path
 

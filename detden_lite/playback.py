@@ -14,7 +14,8 @@ from detden_lite.rollout import Episodes
 from detden_lite.simulator import make
 from detden_lite.tasks import Task
 
-# Okabe and Ito's colours, a little lightened for a dark ground: told apart with any colour vision.
+# Okabe and Ito's colours, a little lightened for a dark ground: told apart with any colour vision. They are those of a
+# clean robot, of an attacked one, of a defended one, and of what the perturbed observation describes.
 COLOURS = ((86, 180, 233), (236, 122, 32), (0, 190, 135), (214, 134, 180))
 GREY = (112, 114, 118)
 
@@ -111,12 +112,10 @@ def takes(robot: Robot, episodes: Mapping[str, Episodes], index: int) -> list[Ta
     Raises:
         ValueError: if there is none, if an index is out of range, or if episodes are not of this robot's task.
     """
-    if not 0 < len(episodes) <= len(COLOURS):
-        raise ValueError(f"episodes: give 1 to {len(COLOURS)} kinds of episodes, by name, not {len(episodes)}")
+    if not episodes:
+        raise ValueError("episodes: give at least one kind of episodes, by name")
     horizon = max(len(kind.mask) for kind in episodes.values())
-    return [
-        _take(robot, *item, index, colour, horizon) for item, colour in zip(episodes.items(), COLOURS, strict=False)
-    ]
+    return [_take(robot, name, kind, index, horizon) for name, kind in episodes.items()]
 
 
 @contextmanager
@@ -132,7 +131,7 @@ def replacing(path: Path) -> Iterator[str]:
         Path(temporary).unlink(missing_ok=True)
 
 
-def _take(robot: Robot, name: str, kind: Episodes, index: int, colour: tuple[int, int, int], horizon: int) -> Take:
+def _take(robot: Robot, name: str, kind: Episodes, index: int, horizon: int) -> Take:
     n, obs_dim, numbers = kind.mask.shape[1], kind.obs.shape[-1], kind.state.shape[-1]
     if not 0 <= index < n:
         raise ValueError(f"index: {name!r} has episodes 0 to {n - 1}, not {index}")
@@ -142,10 +141,11 @@ def _take(robot: Robot, name: str, kind: Episodes, index: int, colour: tuple[int
             f"{len(robot.names)} and {robot.model.nq + robot.model.nv}; give episodes and task that belong together"
         )
     length = int(kind.mask[:, index].sum())
+    defended, attacked = not np.array_equal(kind.denoised, kind.perturbed), kind.attacked.any()
     rows = ("obs", "perturbed", "denoised", "reward", "attacked", "alarm", "score")
     return Take(
         name,
-        colour,
+        COLOURS[2 if defended else int(attacked)],
         length < horizon,
         kind.state[: length + 1, index, : robot.model.nq],
         **{row: getattr(kind, row)[:length, index] for row in rows},

@@ -36,6 +36,19 @@ TINY_VICTIMS = {
     "ppo": PPORecipe(steps=1_024, segment=512, net=32, envs=4, rollout=64, epochs=2),
 }
 
+# Of the enchanting attack: what is reported, and in the sweep of what planning costs, how far and how hard it searches.
+PLANNER = dict(horizon=10, population=32, iterations=1, elites=6)
+PLANNERS = (
+    *(PLANNER | dict(horizon=horizon) for horizon in (1, 2, 5)),
+    PLANNER,
+    PLANNER | dict(horizon=30),
+    PLANNER | dict(population=4, elites=2),
+    PLANNER | dict(population=64, iterations=4, elites=8),
+    PLANNER | dict(population=256, iterations=4, elites=32),
+)
+TINY_PLANNER = dict(horizon=3, population=8, iterations=1, elites=2)
+TINY_PLANNERS = (TINY_PLANNER, TINY_PLANNER | dict(horizon=5))
+
 # The grid of the optimal attack; the paper says nothing of its training. At the paper's scale it is as large as ATLA's.
 LITE_ADVERSARIES = tuple(
     AdversaryRecipe(learning_rate=rate, entropy=entropy) for rate in (1e-3, 3e-3) for entropy in (0.0, 0.003)
@@ -64,6 +77,7 @@ class Scale:
     planned_episodes: int  # of those whose attack plans, which takes long
     attack_steps: int  # PGD steps
     planner: Mapping[str, int]  # arguments of ``CEMPlanner``
+    planners: tuple[Mapping[str, int], ...]  # of the sweep of planners
     adversaries: tuple[AdversaryRecipe, ...]  # the grid of the optimal attack
     linear: LinearRecipe
 
@@ -84,7 +98,8 @@ def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
             episodes=4,
             planned_episodes=2,
             attack_steps=3,
-            planner=dict(horizon=3, population=8, iterations=1, elites=2),
+            planner=TINY_PLANNER,
+            planners=TINY_PLANNERS,
             adversaries=TINY_ADVERSARIES,
             linear=LinearRecipe(generations=2, population=8, elites=4, episodes=1),
         )
@@ -98,7 +113,8 @@ def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
         episodes=100,
         planned_episodes=50,
         attack_steps=20,
-        planner=dict(horizon=15, population=64, iterations=4, elites=8),
+        planner=PLANNER,
+        planners=PLANNERS,
         adversaries=LITE_ADVERSARIES if name == "lite" else PAPER_ADVERSARIES,
         linear=LinearRecipe(),
     )

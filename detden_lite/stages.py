@@ -163,41 +163,6 @@ def evaluate(run: Run, defenses=("none", *VARIANTS), attacks=("none", *study.ATT
             print(f"{name}: {metrics.Estimate(**record['estimate'])}")
 
 
-def look(run: Run, variant: str = "residual", n: int = 16) -> None:
-    """A recording, a film and stills of one report episode clean, attacked and defended; needs a GL driver.
-
-    Of the first n report episodes it is the one whose attacked length is the median.
-    """
-    from detden_lite import films, recordings  # the one stage that needs rerun and ffmpeg
-
-    victim, defense = run.victim(), run.defense(variant)
-    attack = run.opposite(victim)
-    takes = {
-        name: rollout(victim, run.task, study.seeds("report", n), steps=run.scale.horizon, **parts)
-        for name, parts in dict(
-            clean={}, attacked=dict(attack=attack), defended=dict(attack=attack, defense=defense)
-        ).items()
-    }
-    index = _middle(takes["attacked"].lengths)
-    name, threshold = f"{run.folder.name}-opposite", defense.detector.threshold
-    recordings.record(run.root / "recordings" / f"{name}.rrd", run.task, *takes.values(), index, threshold=threshold)
-    folder = run.root / "films"
-    films.film(folder / f"{name}.mp4", run.task, takes, index)
-    films.still(folder / f"{name}.png", run.task, takes, index, seconds=2.0)
-    films.filmstrip(folder / f"{name}-strip.png", run.task, takes, index, seconds=(0.3, 0.6, 0.9, 1.2, 2.0, 3.0))
-
-
-def portrait(run: Run, n: int = 16) -> None:
-    """A film and a still of one clean report episode: of the first n that with the median return; needs a GL driver."""
-    from detden_lite import films  # needs ffmpeg
-
-    clean = rollout(run.victim(), run.task, study.seeds("report", n), steps=run.scale.horizon)
-    index = _middle(clean.returns)
-    path = run.root / "films" / f"{run.folder.name}-clean"
-    films.film(path.with_suffix(".mp4"), run.task, dict(clean=clean), index, seconds=6.0)
-    films.still(path.with_suffix(".png"), run.task, dict(clean=clean), index, seconds=2.0)
-
-
 def publish(run: Run, data: Path = artifacts.DATA) -> None:
     """Copy what is shipped (models, sidecars, records; no trajectories, no checkpoints) from the run to data/."""
     for path in sorted([*run.folder.glob("*.*"), *(run.root / "results").glob(f"{run.folder.name}.*.json")]):
@@ -205,11 +170,6 @@ def publish(run: Run, data: Path = artifacts.DATA) -> None:
     for folder in ("recordings", "films"):
         for path in sorted((run.root / folder).glob(f"{run.folder.name}-*")):
             artifacts.write_bytes(data / folder / path.name, path.read_bytes(), data)
-
-
-def _middle(values: np.ndarray) -> int:
-    """Where the median is."""
-    return int(np.argsort(values, kind="stable")[len(values) // 2])
 
 
 def _quantiles(scores: np.ndarray) -> dict[str, float]:

@@ -26,6 +26,7 @@ films.still(folder / "still.png", task, episodes, seconds=0.0, width=120)
 films.still(folder / "after.png", task, episodes, seconds=9.0, width=120)
 films.filmstrip(folder / "strip.png", task, episodes, seconds=[0.0, 0.1], width=120)
 films.film(folder / "film.mp4", task, episodes, seconds=0.2, fps=25, width=120)
+films.film(folder / "slow.mp4", task, episodes, seconds=0.4, fps=25, width=120, speed=0.5)
 """
 
 
@@ -67,6 +68,14 @@ def test_the_film_is_what_browsers_play(folder):
     assert len(boxes) < 40_000
 
 
+def test_a_slow_film_has_as_many_more_frames_and_begins_and_ends_with_the_same(folder):
+    fast, slow = (list(imageio_ffmpeg.read_frames(folder / name))[1:] for name in ("film.mp4", "slow.mp4"))
+    assert len(slow) == 2 * len(fast)
+    for frame, twice in zip(fast, slow[::2], strict=True):
+        one, other = (np.frombuffer(picture, np.uint8).astype(int) for picture in (frame, twice))
+        assert np.abs(one - other).mean() < 3  # but for what the codec makes of them
+
+
 def test_a_still_shows_each_robot_in_its_colour(folder):
     picture = np.asarray(Image.open(folder / "still.png").convert("RGB")).astype(int)
     assert picture.shape == (120 + films.CAPTION, 360, 3)
@@ -97,8 +106,9 @@ def test_a_filmstrip_has_a_row_for_each_kind_and_a_column_for_each_time(folder):
     [
         (lambda path, kinds: films.film(path / "film.avi", HOPPER, kinds), "must end in .mp4"),
         (lambda path, kinds: films.film(path / "film.mp4", HOPPER, kinds, fps=0), "fps"),
+        (lambda path, kinds: films.film(path / "film.mp4", HOPPER, kinds, speed=0), "speed"),
         (lambda path, kinds: films.film(path / "film.mp4", HOPPER, kinds, width=121), "width"),
-        (lambda path, kinds: films.film(path / "film.mp4", HOPPER, {}), "1 to 4 kinds"),
+        (lambda path, kinds: films.film(path / "film.mp4", HOPPER, {}), "at least one kind"),
         (lambda path, kinds: films.film(path / "film.mp4", HOPPER, kinds, index=1), "index"),
         (lambda path, kinds: films.filmstrip(path / "strip.png", HOPPER, kinds, seconds=[]), "seconds is empty"),
         (lambda path, kinds: films.still(path / "still.png", HOPPER, kinds, seconds=-1.0), "seconds"),

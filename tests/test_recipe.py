@@ -24,7 +24,8 @@ DATA = ROOT / "data"
 ROWS = [f"{task}-{algo}" for algo in ALGORITHMS for task in TASKS]
 JOBS = dict(
     victim=12, select=10, qfunction=5, trajectories=11, augmentation=11, detector=11, denoiser=12, timing=10,
-    choose=10, linear=10, attacks=10, evaluation=10, table=1, look=10, portrait=10, all=1,
+    choose=10, linear=10, attacks=10, evaluation=10, table=1, look=10, portrait=10,
+    epsilon=1, planning=1, gallery=1, all=1,
 )  # fmt: skip
 
 
@@ -103,7 +104,8 @@ def test_a_row_may_be_asked_for_alone_and_without_films(tmp_path):
     rows = planned(run(tmp_path, "--dry-run", "--config", "only=hopper-td3 ant-ppo", "films=false"))
     assert rows == dict(
         victim=4, select=2, qfunction=1, trajectories=3, augmentation=3, detector=3, denoiser=4, timing=2,
-        adversary=4, choose=2, linear=2, attacks=2, evaluation=2, table=1, all=1,
+        adversary=4, choose=2, linear=2, attacks=2, evaluation=2, table=1, epsilon=1,
+        planning=1, all=1,
     )  # fmt: skip
 
 
@@ -193,7 +195,9 @@ def test_a_run_makes_everything_of_its_row(killed):
 
 def test_how_long_the_stages_took_is_measured(killed):
     record = durations.measure(killed[0])
-    assert set(record["rows"]["hopper-ppo"]) == set(durations.STAGES) - {"look", "portrait"}
+    assert set(record["rows"]["hopper-ppo"]) == set(durations.STAGES) - {
+        "look", "portrait", "epsilon", "planning", "gallery",
+    }  # fmt: skip
     spent = record["rows"]["hopper-ppo"]
     assert all(stage["wall_seconds"] > 0 for stage in spent.values())
     assert {name: stage["jobs"] for name, stage in spent.items()} == dict.fromkeys(spent, 1) | dict(adversary=2)

@@ -2,7 +2,7 @@ import pytest
 import torch
 from builders import make_victim, normal
 
-from detden_lite.attacks import Always, Random, Vulnerable
+from detden_lite.attacks import After, Always, Random, Vulnerable
 
 
 def test_always():
@@ -45,3 +45,15 @@ def test_random_belongs_to_the_episode():
 def test_a_rate_beyond_its_range_is_refused(rate):
     with pytest.raises(ValueError, match="rate"):
         Random(rate)
+
+
+def test_after_attacks_from_its_step_on_and_counts_anew_for_new_episodes():
+    timing = After(2)
+    for _ in range(2):
+        timing.reset(range(3))
+        assert [timing(normal(3, 11)).tolist() for _ in range(4)] == [[False] * 3] * 2 + [[True] * 3] * 2
+
+
+def test_after_needs_a_step_that_there_is():
+    with pytest.raises(ValueError, match="step must be at least 0"):
+        After(-1)

@@ -10,9 +10,9 @@ from detden_lite.attacks.noise import GaussianNoise, UniformNoise
 from detden_lite.attacks.opposite import OppositeAttack
 from detden_lite.attacks.optimal import OptimalAttack
 from detden_lite.attacks.qfunction import QFunctionAttack
-from detden_lite.attacks.timing import Always, Random, Vulnerable
+from detden_lite.attacks.timing import After, Always, Random, Vulnerable
 
 __all__ = [
-    "Always", "EnchantingAttack", "GaussianNoise", "OppositeAttack", "OptimalAttack", "QFunctionAttack", "Random",
-    "UniformNoise", "Vulnerable",
+    "After", "Always", "EnchantingAttack", "GaussianNoise", "OppositeAttack", "OptimalAttack", "QFunctionAttack",
+    "Random", "UniformNoise", "Vulnerable",
 ]  # fmt: skip

@@ -37,6 +37,23 @@ class Vulnerable:
         return self.victim.value(obs) < self.threshold
 
 
+class After:
+    """Attack at every step from ``step`` on: for who wants to see a robot attacked that is on its way already."""
+
+    def __init__(self, step: int):
+        if step < 0:
+            raise ValueError(f"step must be at least 0, not {step}")
+        self.step = step
+
+    def reset(self, episodes: Sequence[int]) -> None:
+        self.passed = 0
+
+    def __call__(self, obs: Tensor) -> Tensor:
+        now = self.passed >= self.step
+        self.passed += 1
+        return torch.full((len(obs),), now)
+
+
 class Random:
     """Attack at random steps, a fraction ``rate`` of them: what a timing must beat at the same rate."""
 

@@ -1,0 +1,70 @@
+"""What the undefended victims earn under each attack: the result records, beside the paper's own numbers."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from detden_lite import artifacts, stages, study
+from detden_lite.metrics import Estimate, estimate
+
+ATTACKS = (*study.FOUR, "linear")  # the last is the released code's stand-in for the optimal one
+CELLS = tuple((cell.attack, cell.timing) for cell in stages.cells(("none",)))
+CLEAN = ("none", "always")
+NAMES = dict(
+    none="clean", uniform="uniform noise", gaussian="Gaussian noise", fgsm="FGSM", opposite="opposite",
+    qfunction="Q-function", optimal="optimal", enchanting="enchanting", linear="linear adversary",
+)  # fmt: skip
+
+# Table 1 of the paper, columns "Attack/Defense", before the slash: mean returns of its policies under each attack.
+_PAPER = {
+    ("hopper", "td3"): (390, 960, 267, 1_629),
+    ("hopper", "ppo"): (271, 700, 247, 217),
+    ("walker2d", "td3"): (751, 478, 187, 762),
+    ("walker2d", "ppo"): (241, 3_510, -38, 1_582),
+    ("halfcheetah", "td3"): (1_770, 1_603, 1_017, 1_802),
+    ("halfcheetah", "ppo"): (1_072, 1_665, 833, 274),
+    ("ant", "td3"): (603, -46, -893, 522),
+    ("ant", "ppo"): (-351, -157, 558, 196),
+    ("humanoid", "td3"): (431, 454, 585, 420),
+    ("humanoid", "ppo"): (531, 406, 415, 396),
+}
+PAPER = {victim: dict(zip(study.FOUR, row, strict=True)) for victim, row in _PAPER.items()}
+
+
+def load(task: str, algo: str, root: Path = artifacts.DATA) -> dict[tuple[str, str], dict]:
+    """The records of an undefended victim that are there, by (attack, timing): clean, noise and the attacks.
+
+    Raises:
+        ArtifactError: if one of them is altered.
+    """
+    names = {cell: study.Cell(*cell).record_name(task, algo) for cell in CELLS}
+    there = {cell: name for cell, name in names.items() if (root / "results" / f"{name}.json").exists()}
+    return {cell: artifacts.load_record(name, root) for cell, name in there.items()}
+
+
+def strongest(records: Mapping[tuple[str, str], Mapping]) -> tuple[str, str] | None:
+    """The (attack, timing) that leaves the smallest mean return, random timings aside; None if there is no attack."""
+    means = {
+        (attack, timing): record["estimate"]["mean"]
+        for (attack, timing), record in records.items()
+        if attack in ATTACKS and timing != "random"
+    }
+    return min(means, key=means.get) if means else None
+
+
+def difference(one: Mapping, other: Mapping) -> Estimate:
+    """How much more return a record has than another, episode by episode: of those that both have.
+
+    Raises:
+        ValueError: if the two do not begin with the same episode.
+    """
+    if one["seeds"][0] != other["seeds"][0]:
+        raise ValueError(f"the records are of other episodes, from seeds {one['seeds'][0]} and {other['seeds'][0]} on")
+    n = min(len(one["returns"]), len(other["returns"]))
+    return estimate(np.subtract(one["returns"][:n], other["returns"][:n]))
+
+
+def share(record: Mapping, clean: Mapping) -> float:
+    """The mean return of a record as a part of the clean one; below 0 where the return is."""
+    return record["estimate"]["mean"] / clean["estimate"]["mean"]

@@ -1,0 +1,95 @@
+"""The recipe's stages that make what is looked at: films, stills and recordings of single episodes.
+
+They need a GL driver, and the modules that they import on their way need rerun and ffmpeg.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from detden_lite import study
+from detden_lite.attacked import NAMES
+from detden_lite.attacks import After
+from detden_lite.playback import Robot
+from detden_lite.rollout import Episodes, rollout
+from detden_lite.runs import Run
+
+
+def look(run: Run, variant: str = "residual", n: int = 16) -> None:
+    """A recording, a film and stills of one report episode clean, attacked and defended.
+
+    Of the first n report episodes it is the one whose attacked length is the median.
+    """
+    from detden_lite import films, recordings
+
+    victim, defense = run.victim(), run.defense(variant)
+    attack = run.opposite(victim)
+    takes = {
+        name: rollout(victim, run.task, study.seeds("report", n), steps=run.scale.horizon, **parts)
+        for name, parts in dict(
+            clean={}, attacked=dict(attack=attack), defended=dict(attack=attack, defense=defense)
+        ).items()
+    }
+    index = _middle(takes["attacked"].lengths)
+    name, threshold = f"{run.folder.name}-opposite", defense.detector.threshold
+    recordings.record(run.root / "recordings" / f"{name}.rrd", run.task, *takes.values(), index, threshold=threshold)
+    folder = run.root / "films"
+    films.film(folder / f"{name}.mp4", run.task, takes, index)
+    films.still(folder / f"{name}.png", run.task, takes, index, seconds=2.0)
+    films.filmstrip(folder / f"{name}-strip.png", run.task, takes, index, seconds=(0.3, 0.6, 0.9, 1.2, 2.0, 3.0))
+
+
+def portrait(run: Run, n: int = 16) -> None:
+    """A film and a still of one clean report episode: of the first n that with the median return."""
+    from detden_lite import films
+
+    clean = rollout(run.victim(), run.task, study.seeds("report", n), steps=run.scale.horizon)
+    index = _middle(clean.returns)
+    path = run.root / "films" / f"{run.folder.name}-clean"
+    films.film(path.with_suffix(".mp4"), run.task, dict(clean=clean), index, seconds=6.0)
+    films.still(path.with_suffix(".png"), run.task, dict(clean=clean), index, seconds=2.0)
+
+
+def gallery(
+    run: Run,
+    attacks: Sequence[str] = study.FOUR,
+    variant: str = "residual",
+    n: int = 8,
+    begin: int = 125,
+    steps: int = 625,
+) -> None:
+    """One report episode clean and under each attack, in one film; and for each attack a recording with a still.
+
+    The attacks begin when the robot is on its way. Of the first n report episodes it is the one that lives for the
+    median number of steps, summed over the attacks. A recording of the opposite attack is made by ``look``.
+    """
+    from detden_lite import films, recordings
+
+    victim, defense, threat = run.victim(), run.defense(variant), run.threat()
+    steps = min(steps, run.scale.horizon)
+    begin = min(begin, steps // 2)
+
+    def play(name: str, **defended) -> Episodes:
+        attack = threat.attack(name, victim, run.task)
+        return rollout(
+            victim, run.task, study.seeds("report", n), attack=attack, timing=After(begin), steps=steps, **defended
+        )
+
+    takes = {NAMES[name]: play(name) for name in ("none", *attacks)}
+    index = _middle(np.sum([take.lengths for take in takes.values()], axis=0))
+    seconds = (begin + 32) * Robot.of(run.task).dt  # the still's: the fastest attacks take about so many steps
+    folder, stem = run.root / "films", f"{run.folder.name}-attacks"
+    films.film(folder / f"{stem}.mp4", run.task, takes, index, width=220, speed=0.5)
+    films.still(folder / f"{stem}.png", run.task, takes, index, seconds=seconds, width=220)
+    for name in attacks:
+        if name == "opposite":
+            continue
+        three = dict(clean=takes[NAMES["none"]], attacked=takes[NAMES[name]], defended=play(name, defense=defense))
+        recording = run.root / "recordings" / f"{run.folder.name}-{name}.rrd"
+        recordings.record(recording, run.task, *three.values(), index, threshold=defense.detector.threshold)
+        films.still(folder / f"{recording.stem}.png", run.task, three, index, seconds=seconds)
+
+
+def _middle(values: np.ndarray) -> int:
+    """Where the median is."""
+    return int(np.argsort(values, kind="stable")[len(values) // 2])

@@ -1,0 +1,78 @@
+"""The records of undefended victims, and the paper's numbers beside them."""
+
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from detden_lite import artifacts
+from detden_lite.artifacts import ArtifactError
+from detden_lite.attacked import CELLS, CLEAN, NAMES, PAPER, difference, load, share, strongest
+from detden_lite.cards import PAPER as PAPER_CLEAN
+from detden_lite.cards import ROWS
+from detden_lite.metrics import estimate
+from detden_lite.study import SEEDS
+
+
+def record(returns, first=8_000_000) -> dict:
+    return dict(estimate=asdict(estimate(returns)), returns=list(returns), seeds=[first, len(returns)])
+
+
+def ship(root, **returns) -> None:
+    """Records of Hopper and TD3, named "attack_timing"."""
+    for name, values in returns.items():
+        attack, timing = name.split("_")
+        path = root / "results" / f"hopper-td3.{attack}.{timing}.none.json"
+        artifacts.write_json(path, record(values), root)
+
+
+def test_the_paper_has_forty_numbers_all_below_its_clean_returns():
+    assert set(PAPER) == set(ROWS)
+    assert {tuple(row) for row in PAPER.values()} == {("opposite", "qfunction", "optimal", "enchanting")}
+    assert all(number < PAPER_CLEAN[victim] for victim, row in PAPER.items() for number in row.values())
+    assert set(NAMES) == {attack for attack, _ in CELLS}
+
+
+def test_only_records_that_are_there_are_loaded(tmp_path):
+    assert load("hopper", "td3", tmp_path) == {}
+    ship(tmp_path, none_always=[10, 12], opposite_always=[3, 5], opposite_random=[1, 1], uniform_always=[8, 8])
+    assert set(load("hopper", "td3", tmp_path)) == {
+        CLEAN, ("opposite", "always"), ("opposite", "random"), ("uniform", "always"),
+    }  # fmt: skip
+    assert load("hopper", "ppo", tmp_path) == {}
+
+
+def test_an_altered_record_is_refused(tmp_path):
+    ship(tmp_path, none_always=[10, 12])
+    path = tmp_path / "results" / "hopper-td3.none.always.none.json"
+    path.write_text(path.read_text().replace("12", "99"))
+    with pytest.raises(ArtifactError, match="truncated or altered"):
+        load("hopper", "td3", tmp_path)
+
+
+def test_the_strongest_attack_is_neither_noise_nor_randomly_timed(tmp_path):
+    ship(tmp_path, none_always=[10, 12], uniform_always=[0, 0], opposite_random=[0, 0])
+    assert strongest(load("hopper", "td3", tmp_path)) is None
+    ship(tmp_path, opposite_always=[4, 4], qfunction_vulnerable=[3, 4])
+    records = load("hopper", "td3", tmp_path)
+    assert strongest(records) == ("qfunction", "vulnerable")
+    assert share(records["qfunction", "vulnerable"], records[CLEAN]) == pytest.approx(3.5 / 11)
+
+
+def test_a_difference_is_of_the_same_episodes():
+    """Episodes that differ widely from each other and little from attack to attack have a narrow difference."""
+    rng = np.random.default_rng(0)
+    starts, gain = rng.normal(1_000, 500, 50), rng.normal(20, 1, 50)
+    found = difference(record(starts + gain), record(starts))
+    assert found.mean == pytest.approx(gain.mean()) and 19 < found.low < found.high < 21
+    assert difference(record(starts + gain), record(starts[:30])).mean == pytest.approx(gain[:30].mean())
+    with pytest.raises(ValueError, match="other episodes, from seeds 8000000 and 5000000 on"):
+        difference(record(starts), record(starts, first=5_000_000))
+
+
+@pytest.mark.parametrize("task, algo", ROWS)
+def test_shipped_records_begin_with_the_first_report_episode(task, algo):
+    """Those of one victim can be compared with each other."""
+    records = load(task, algo)
+    assert {found["seeds"][0] for found in records.values()} <= {SEEDS["report"]}
+    assert all(found["cell"]["defense"] == "none" and found["task"] == task for found in records.values())

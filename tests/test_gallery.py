@@ -1,0 +1,50 @@
+"""The film of all attacks and their recordings; a GL driver renders them in a process of its own."""
+
+import json
+import os
+import subprocess
+import sys
+
+import imageio_ffmpeg
+import pytest
+from builders import make_gruvae
+from PIL import Image
+from test_cards import ship
+
+from detden_lite import artifacts, films, stages
+from detden_lite.victims import Victim
+
+SCRIPT = """
+import sys
+from detden_lite.__main__ import main
+main(["gallery", "--root", sys.argv[1], "--attacks", "opposite", "qfunction", "optimal"])
+"""
+
+
+def test_all_attacks_are_filmed_side_by_side_and_recorded_one_by_one(tmp_path):
+    root = tmp_path / "run"
+    ship(root)
+    artifacts.save_model("hopper", "td3", "detector-diverse", make_gruvae(), dict(threshold=1.0), root)
+    artifacts.save_model("hopper", "td3", "denoiser-residual", make_gruvae(), dict(data="diverse"), root)
+    artifacts.write_json(root / "hopper-td3" / "timing.json", dict(c_vul=0.0, attack_rate=0.5), root)
+    artifacts.save_adversary("hopper", "td3", "optimal", Victim([11, 11]), {}, root)
+    for driver in ("egl", "osmesa"):  # read when Python starts
+        environment = os.environ | dict(MUJOCO_GL=driver)
+        done = subprocess.run([sys.executable, "-c", SCRIPT, root], env=environment, capture_output=True, text=True)
+        if done.returncode == 0:
+            break
+        if not any(word in done.stderr for word in ("GL", "libOSMesa")):
+            pytest.fail(done.stderr)
+    else:
+        pytest.skip("no GL driver: Debian has libegl1 libgl1-mesa-dri")
+
+    about = next(imageio_ffmpeg.read_frames(root / "films" / "hopper-td3-attacks.mp4"))
+    assert about["codec"] == "h264" and about["size"] == (4 * 220, 220 + films.CAPTION)
+    assert about["duration"] <= 0.9, "at most 50 steps of 8 ms, half as fast"
+    assert Image.open(root / "films" / "hopper-td3-attacks.png").size == about["size"]
+    assert Image.open(root / "films" / "hopper-td3-qfunction.png").size == (900, 300 + films.CAPTION)
+    assert {path.stem for path in (root / "recordings").iterdir()} == {"hopper-td3-qfunction", "hopper-td3-optimal"}
+
+    stages.publish(stages.Run.of(root, "hopper", "td3", "tiny"), tmp_path / "data")
+    manifest = json.loads((tmp_path / "data" / "manifest.json").read_text())
+    assert {"films/hopper-td3-attacks.mp4", "recordings/hopper-td3-qfunction.rrd"} <= set(manifest)
