@@ -29,6 +29,7 @@ DEFENSES = [
     if (DATA / folder / f"denoiser-{variant}.safetensors").exists()
 ]
 TABLES = sorted({folder for folder, _ in DEFENSES})
+ATTACKED = sorted({name.split(".")[0] for name in RECORDS})
 MODELS = sorted(path.relative_to(DATA).as_posix() for path in DATA.glob("*/de*.safetensors"))
 
 
@@ -116,10 +117,17 @@ def test_every_record_is_of_the_models_that_are_shipped(name):
 
 
 @pytest.mark.parametrize("folder", TABLES)
-def test_the_table_is_complete(folder):
-    task, algo = folder.split("-")
+def test_the_table_of_a_defended_victim_is_complete(folder):
     variants = [variant for name, variant in DEFENSES if name == folder]
-    assert {cell.record_name(task, algo) for cell in stages.cells(["none", *variants])} <= set(RECORDS)
+    assert {cell.record_name(*folder.split("-")) for cell in stages.cells(variants)} <= set(RECORDS)
+
+
+@pytest.mark.parametrize("folder", ATTACKED)
+def test_no_attack_on_a_victim_is_half_recorded(folder):
+    """All timings of an attack or none; and the clean episodes are those of the victim's card."""
+    recorded = {name.split(".")[1] for name in RECORDS if name.startswith(f"{folder}.")}
+    cells = [cell for cell in stages.cells(["none"]) if cell.attack in recorded]
+    assert {cell.record_name(*folder.split("-")) for cell in cells} <= set(RECORDS)
     card = artifacts.read_json(DATA / folder / "victim.json", DATA)
     assert record(f"{folder}.none.always.none")["returns"] == card["returns"]
 
