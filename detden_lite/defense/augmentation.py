@@ -64,7 +64,7 @@ def collect_normal(
     return Trajectories(obs, lengths)
 
 
-def augment(normal: Trajectories, attack, batch: int = 1_024, seed: int = 0) -> Trajectories:
+def augment(normal: Trajectories, attack, batch: int = 2_048, seed: int = 0) -> Trajectories:
     """D_adv = {A_B(o) | o in D_normal}: every observation attacked offline, without touching the environment.
 
     Args:
