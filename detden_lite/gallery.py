@@ -56,7 +56,7 @@ def gallery(
     variant: str = "residual",
     n: int = 8,
     begin: int = 125,
-    steps: int = 625,
+    steps: int = 500,
 ) -> None:
     """One report episode clean and under each attack, in one film; and for each attack a recording with a still.
 
@@ -69,25 +69,26 @@ def gallery(
     steps = min(steps, run.scale.horizon)
     begin = min(begin, steps // 2)
 
-    def play(name: str, **defended) -> Episodes:
+    def play(name: str, seeds: Sequence[int], **defended) -> Episodes:
         attack = threat.attack(name, victim, run.task)
-        return rollout(
-            victim, run.task, study.seeds("report", n), attack=attack, timing=After(begin), steps=steps, **defended
-        )
+        return rollout(victim, run.task, seeds, attack=attack, timing=After(begin), steps=steps, **defended)
 
-    takes = {NAMES[name]: play(name) for name in ("none", *attacks)}
-    index = _middle(np.sum([take.lengths for take in takes.values()], axis=0))
+    seeds = study.seeds("report", n)
+    played = {name: play(name, seeds) for name in ("none", *attacks)}
+    index = _middle(np.sum([take.lengths for take in played.values()], axis=0))
+    takes = {NAMES[name]: take.select([index]) for name, take in played.items()}
     seconds = (begin + 32) * Robot.of(run.task).dt  # the still's: the fastest attacks take about so many steps
     folder, stem = run.root / "films", f"{run.folder.name}-attacks"
-    films.film(folder / f"{stem}.mp4", run.task, takes, index, width=220, speed=0.5)
-    films.still(folder / f"{stem}.png", run.task, takes, index, seconds=seconds, width=220)
+    films.film(folder / f"{stem}.mp4", run.task, takes, width=220, speed=0.5)
+    films.still(folder / f"{stem}.png", run.task, takes, seconds=seconds, width=220)
     for name in attacks:
         if name == "opposite":
             continue
-        three = dict(clean=takes[NAMES["none"]], attacked=takes[NAMES[name]], defended=play(name, defense=defense))
+        defended = play(name, seeds[index : index + 1], defense=defense)
+        three = dict(clean=takes[NAMES["none"]], attacked=takes[NAMES[name]], defended=defended)
         recording = run.root / "recordings" / f"{run.folder.name}-{name}.rrd"
-        recordings.record(recording, run.task, *three.values(), index, threshold=defense.detector.threshold)
-        films.still(folder / f"{recording.stem}.png", run.task, three, index, seconds=seconds)
+        recordings.record(recording, run.task, *three.values(), threshold=defense.detector.threshold)
+        films.still(folder / f"{recording.stem}.png", run.task, three, seconds=seconds)
 
 
 def _middle(values: np.ndarray) -> int:
