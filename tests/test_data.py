@@ -124,12 +124,16 @@ def test_the_table_of_a_defended_victim_is_complete(folder):
 
 @pytest.mark.parametrize("folder", ATTACKED)
 def test_no_attack_on_a_victim_is_half_recorded(folder):
-    """All timings of an attack or none; and the clean episodes are those of the victim's card."""
+    """All timings of an attack or none; and the clean episodes are those of the victim's card.
+
+    HalfCheetah magnifies rounding until an episode on another machine is another episode: its mean must agree.
+    """
     recorded = {name.split(".")[1] for name in RECORDS if name.startswith(f"{folder}.")}
     cells = [cell for cell in stages.cells(["none"]) if cell.attack in recorded]
     assert {cell.record_name(*folder.split("-")) for cell in cells} <= set(RECORDS)
-    card = artifacts.read_json(DATA / folder / "victim.json", DATA)
-    assert record(f"{folder}.none.always.none")["returns"] == card["returns"]
+    card = artifacts.read_json(DATA / folder / "victim.json", DATA)["estimate"]
+    clean = record(f"{folder}.none.always.none")["estimate"]
+    assert abs(clean["mean"] - card["mean"]) <= max(card["high"] - card["low"], 1e-6 * card["mean"])
 
 
 @pytest.mark.parametrize("folder", TABLES)
