@@ -44,7 +44,7 @@ PLANNERS = (
     PLANNER | dict(horizon=30),
     PLANNER | dict(population=4, elites=2),
     PLANNER | dict(population=64, iterations=4, elites=8),
-    PLANNER | dict(population=256, iterations=4, elites=32),
+    PLANNER | dict(population=128, iterations=4, elites=16),
 )
 TINY_PLANNER = dict(horizon=3, population=8, iterations=1, elites=2)
 TINY_PLANNERS = (TINY_PLANNER, TINY_PLANNER | dict(horizon=5))
