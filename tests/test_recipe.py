@@ -176,7 +176,12 @@ def test_a_killed_run_goes_on_and_makes_nothing_twice(killed):
     now = files(folder)
     assert len([name for name in had if name.endswith(".safetensors")]) >= 8
     assert len([name for name in had if name.startswith("results/")]) >= 1
-    assert {name: now.get(name) for name in had} == had
+    # A training that was under way goes on from its last checkpoint, and writes again what came after that.
+    trainings = {name: re.match(r".+/checkpoints/adversary-\d+/", name) for name in had}
+    under_way = {name for name, training in trainings.items() if training and f"{training.group()}done" not in had}
+    kept = {name: written for name, written in had.items() if name not in under_way}
+    assert {name: now.get(name) for name in kept} == kept
+    assert set(had) <= set(now)
     assert not [name for name in now if name.endswith(".new")]
 
 
