@@ -196,15 +196,15 @@ def tune_vulnerable(
         c_vul = float(np.quantile(values, quantile))
         attacked = measure(attack, Vulnerable(victim, c_vul))
         strikes = float((attacked.attacked & attacked.mask).sum(0).mean())
-        damage = clean_return - float(attacked.returns.mean())
+        mean_return = float(attacked.returns.mean())
         sweep.append(
             dict(
                 quantile=quantile,
                 c_vul=c_vul,
                 attack_rate=float(attacked.attacked[attacked.mask].mean()),
                 attacks=strikes,
-                mean_return=float(attacked.returns.mean()),
-                damage_per_attack=damage / strikes if strikes else 0.0,
+                mean_return=mean_return,
+                damage_per_attack=(clean_return - mean_return) / strikes if strikes else 0.0,
             )
         )
     enough = [row for row in sweep if clean_return - row["mean_return"] >= keep * (clean_return - always_return)]

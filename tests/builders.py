@@ -1,7 +1,10 @@
 """Small real things to test with: random networks of the right shapes, real environments, nothing trained."""
 
 import os
+import subprocess
+import sys
 
+import pytest
 import torch
 from hypothesis import settings
 from torch import Tensor
@@ -42,6 +45,19 @@ def make_gruvae(obs_dim: int = 11, seed: int = 0, residual: bool = False, layers
 def make_defense(obs_dim: int = 11, threshold: float = 1.5) -> DetectAndDenoise:
     """An untrained defence, whose alarm goes off now and then."""
     return DetectAndDenoise(Detector(make_gruvae(obs_dim), threshold), Denoiser(make_gruvae(obs_dim, 1, residual=True)))
+
+
+def run_with_gl(script: str, *arguments) -> None:
+    """Run a Python script with the first GL driver that there is; skip the test where there is none."""
+    for driver in ("egl", "osmesa"):  # read when Python starts
+        environment = os.environ | dict(MUJOCO_GL=driver)
+        command = [sys.executable, "-c", script, *map(str, arguments)]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True)
+        if done.returncode == 0:
+            return
+        if not any(word in done.stderr for word in ("GL", "libOSMesa")):
+            pytest.fail(done.stderr)
+    pytest.skip("no GL driver: Debian has libegl1 libgl1-mesa-dri")
 
 
 def normal(*shape: int, seed: int = 0) -> Tensor:

@@ -1,13 +1,9 @@
 """The film of all attacks and their recordings; a GL driver renders them in a process of its own."""
 
 import json
-import os
-import subprocess
-import sys
 
 import imageio_ffmpeg
-import pytest
-from builders import make_gruvae
+from builders import make_gruvae, run_with_gl
 from PIL import Image
 from test_cards import ship
 
@@ -28,15 +24,7 @@ def test_all_attacks_are_filmed_side_by_side_and_recorded_one_by_one(tmp_path):
     artifacts.save_model("hopper", "td3", "denoiser-residual", make_gruvae(), dict(data="diverse"), root)
     artifacts.write_json(root / "hopper-td3" / "timing.json", dict(c_vul=0.0, attack_rate=0.5), root)
     artifacts.save_adversary("hopper", "td3", "optimal", Victim([11, 11]), {}, root)
-    for driver in ("egl", "osmesa"):  # read when Python starts
-        environment = os.environ | dict(MUJOCO_GL=driver)
-        done = subprocess.run([sys.executable, "-c", SCRIPT, root], env=environment, capture_output=True, text=True)
-        if done.returncode == 0:
-            break
-        if not any(word in done.stderr for word in ("GL", "libOSMesa")):
-            pytest.fail(done.stderr)
-    else:
-        pytest.skip("no GL driver: Debian has libegl1 libgl1-mesa-dri")
+    run_with_gl(SCRIPT, root)
 
     about = next(imageio_ffmpeg.read_frames(root / "films" / "hopper-td3-attacks.mp4"))
     assert about["codec"] == "h264" and about["size"] == (4 * 220, 220 + films.CAPTION)

@@ -12,9 +12,9 @@ from detden_lite.victims import Victim
 def q_objective(victim: Victim, obs: Tensor) -> Callable[[Tensor], Tensor]:
     """-Q(o, pi(.)): how bad the action is that the policy takes when it sees ``[N, obs_dim]`` perturbed.
 
-    Q always sees the true ``obs``: the world is what it is, whatever the policy is shown. Q is the mean of the critics.
-    TD3 trains its actor on the first alone, whose flaws the actor knows and hides from; the smallest of them would send
-    the attacker to wherever one of them errs.
+    Q always sees the true ``obs``: the world is what it is, whatever the policy is shown. Q is the mean of the critics:
+    where they disagree at least one is wrong, and in the mean such errors partly cancel; the smallest of them would
+    send the attacker to wherever one of them errs.
     """
 
     return lambda perturbed: -victim.qs(obs, victim.straight_through(perturbed)).mean(0)
