@@ -1,8 +1,9 @@
 """The stages that make a victim's adversaries: train a grid of them, search for a linear one, choose, and ship."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from detden_lite import artifacts, linear_search, selection, study, victim_training
@@ -26,24 +27,27 @@ def train_member(run: Run, member: int) -> None:
 
     from detden_lite.adversary_env import AdversaryEnv  # needs stable-baselines3
 
-    grid, victim = run.scale.adversaries, run.victim()
+    grid, victim, threat = run.scale.adversaries, run.victim(), run.threat()
     if not 0 <= member < len(grid):
         raise ValueError(f"member must be between 0 and {len(grid) - 1} at this scale, not {member}")
 
     def worlds(n: int):
-        return VecMonitor(AdversaryEnv(victim, run.task, run.budget, n, steps=run.scale.horizon))
+        timing = threat.timing(grid[member].timing, victim)
+        return VecMonitor(AdversaryEnv(victim, run.task, run.budget, n, timing, steps=run.scale.horizon))
 
     folder = run.folder / "checkpoints" / f"adversary-{member}"
-    victim_training.train(run.task, grid[member], member, folder, worlds, _about(run))
+    about = dict(c_vul=threat.c_vul) if grid[member].timing == "vulnerable" else {}
+    victim_training.train(run.task, grid[member], member, folder, worlds, _about(run) | about)
 
 
 def choose(run: Run) -> None:
-    """Ship the member's snapshot that leaves the victim the least.
+    """Ship the member's snapshot that leaves the victim the least, striking always and where it is vulnerable.
 
     Raises:
         ValueError: if no member was trained.
     """
-    _ship(run, "optimal", AdversaryRecipe, sorted((run.folder / "checkpoints").glob("adversary-*")))
+    folders = sorted((run.folder / "checkpoints").glob("adversary-*"))
+    _ship(run, "optimal", AdversaryRecipe, folders, ("always", "vulnerable"))
 
 
 def search_linear(run: Run, seed: int = 0) -> None:
@@ -62,7 +66,7 @@ def search_linear(run: Run, seed: int = 0) -> None:
 
     folder = run.folder / "checkpoints" / "linear"
     linear_search.search(recipe, run.task, seed, folder, clean.obs[clean.mask], measure, _about(run))
-    _ship(run, "linear", LinearRecipe, [folder])
+    _ship(run, "linear", LinearRecipe, [folder], ("always",))
 
 
 def _about(run: Run) -> dict:
@@ -73,27 +77,34 @@ def _about(run: Run) -> dict:
     )
 
 
-def _ship(run: Run, kind: str, recipe: type, folders: Iterable[Path]) -> None:
-    """Choose on episodes that nothing else uses. Records of another adversary's attacks are removed."""
+def _ship(run: Run, kind: str, recipe: type, folders: Iterable[Path], timings: Sequence[str]) -> None:
+    """Choose by the mean over timings, on episodes that nothing else uses. Records of another adversary are removed."""
     folders = [folder for folder in folders if any((folder / "snapshots").glob("*.safetensors"))]
     if not folders:
         where = run.folder / "checkpoints"
         raise ValueError(f"{where} holds no snapshot of an adversary; run the adversary stage first")
-    victim, n = run.victim(), min(SELECTION, run.scale.episodes)
+    victim, threat, n = run.victim(), run.threat(), min(SELECTION, run.scale.episodes)
     seeds = study.seeds("adversary", SCREENING + n)
     episodes = dict(screening=seeds[:SCREENING], selection=seeds[SCREENING:])
 
     def mean(adversary: Victim | None, purpose: str) -> float:
         attack = OptimalAttack(adversary, run.budget) if adversary else None
-        played = rollout(victim, run.task, episodes[purpose], attack=attack, steps=run.scale.horizon)
-        return float(played.returns.mean())
+        played = [
+            rollout(
+                victim, run.task, episodes[purpose], attack=attack, timing=threat.timing(timing, victim),
+                steps=run.scale.horizon,
+            )
+            for timing in timings
+        ]  # fmt: skip
+        return float(np.mean([one.returns for one in played]))
 
-    chosen = selection.choose(run.task, recipe, folders, mean, sign=-1)
+    chosen = selection.choose(run.task, recipe, folders, mean, sign=-1, n=5)
     sidecar = dict(
         task=run.task.name,
         algo=run.algo,
         recipe=chosen.recipe,
         step=chosen.step,
+        timings=list(timings),
         selection_mean=chosen.selection,
         clean_mean=mean(None, "selection"),
         selection_seeds=[episodes["selection"][0], n],

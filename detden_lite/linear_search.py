@@ -20,10 +20,10 @@ from detden_lite.victims import Victim
 class LinearRecipe:
     """Sizes of the search. Its distribution is a Gaussian whose components are independent."""
 
-    generations: int = 40
+    generations: int = 20
     population: int = 64
     elites: int = 16
-    episodes: int = 2  # of each member of the population in a generation
+    episodes: int = 1  # of each member of the population in a generation
     spread: float = 1.0  # standard deviation of a perturbation at the start, in units of the ball's radius
     floor: float = 0.1  # the least standard deviation, as a share of that at the start
 

@@ -50,17 +50,20 @@ TINY_PLANNER = dict(horizon=3, population=8, iterations=1, elites=2)
 TINY_PLANNERS = (TINY_PLANNER, TINY_PLANNER | dict(horizon=5))
 
 # The grid of the optimal attack; the paper says nothing of its training. At the paper's scale it is as large as ATLA's.
-LITE_ADVERSARIES = tuple(
-    AdversaryRecipe(learning_rate=rate, entropy=entropy) for rate in (1e-3, 3e-3) for entropy in (0.0, 0.003)
+LITE_ADVERSARIES = (
+    AdversaryRecipe(timing="always"),
+    AdversaryRecipe(timing="always", learning_rate=3e-3),
+    AdversaryRecipe(timing="vulnerable"),
 )
 PAPER_ADVERSARIES = tuple(
-    AdversaryRecipe(steps=1_013_760, learning_rate=rate, entropy=entropy, clip=clip)
+    AdversaryRecipe(steps=1_024_000, learning_rate=rate, timing=timing, clip=clip)
     for rate in (3e-4, 1e-3, 3e-3)
-    for entropy in (0.0, 0.003)
+    for timing in ("always", "vulnerable")
     for clip in (0.2, 0.4)
 )
 TINY_ADVERSARIES = tuple(
-    AdversaryRecipe(steps=1_024, segment=512, net=32, learning_rate=rate, envs=4, epochs=2) for rate in (1e-3, 3e-3)
+    AdversaryRecipe(steps=1_024, segment=512, net=32, timing=timing, envs=4, epochs=2)
+    for timing in ("always", "vulnerable")
 )
 
 

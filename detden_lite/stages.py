@@ -131,7 +131,8 @@ def cells(defenses=("none", *VARIANTS)) -> list[study.Cell]:
         found.append(study.Cell(defense=name))
         if name == "none":
             found += [study.Cell(attack) for attack in (*study.CONTROLS, "linear")]
-            found += [study.Cell(attack, timing) for attack in study.FOUR for timing in study.TIMINGS]
+            found += [study.Cell(attack, timing) for attack in study.FOUR for timing in ("always", "vulnerable")]
+            found += [study.Cell("opposite", "random")]
         else:
             found += [study.Cell("opposite", timing, name) for timing in ("always", "vulnerable")]
     return found

@@ -191,13 +191,14 @@ class PPORecipe:
 class AdversaryRecipe(PPORecipe):
     """Hyperparameters of PPO for an adversary, which sees what the victim should see and perturbs it."""
 
-    steps: int = 307_200
-    segment: int = 30_720
+    steps: int = 204_800
+    segment: int = 20_480
     learning_rate: float = 1e-3
     envs: int = 32
     rollout: int = 64
     batch: int = 128
-    entropy: float = 0.0  # weight of the entropy bonus
+    entropy: float = 0.003  # weight of the entropy bonus
+    timing: str = "always"  # when it may attack: "always" or "vulnerable"
 
     def config(self, task: Task) -> dict:
         """The arguments of the ``Victim`` that the adversary is: its actions are perturbations."""
