@@ -47,7 +47,7 @@ data: .venv/stamp ## Make everything in data/ anew, in runs/SCALE (SCALE=tiny, l
 	$(if $(filter-out $(SCALES),$(SCALE)),$(error SCALE=$(SCALE) is unknown; choose one of: $(SCALES)))
 	$(PY) -m snakemake $(GOALS) --snakefile data/Snakefile --configfile data/config/$(SCALE).yaml --directory runs/$(SCALE) --jobs $(JOBS) --config only="$(ROWS)" films=$(FILMS)
 
-durations: .venv/stamp ## Print how long each stage of make data SCALE=lite takes
+durations: .venv/stamp ## Print how long each stage of make data SCALE=lite takes, and how fast victims train
 	$(PY) -m detden_lite durations
 
 bench: .venv/stamp ## Print the benchmarks

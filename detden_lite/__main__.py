@@ -77,9 +77,9 @@ def parser() -> argparse.ArgumentParser:
     shown.add_argument("--variant", choices=stages.VARIANTS, default="residual", help="default: %(default)s")
     add("publish", stages.publish, "copy what is shipped into data/")
     add("table", tables.write, "gather the records of all victims in one table", parents=[where])
-    add("durations", durations.show, "print how long each stage takes", parents=[where]).add_argument(
-        "--store", action="store_true", help="measure it in the run first, and store it in data/"
-    )
+    took = add("durations", durations.show, "print how long each stage takes", parents=[where])
+    took.add_argument("--store", action="store_true", help="measure it in the run first, and store it in data/")
+    took.add_argument("--trainings", action="store_true", help="measure how fast victims train, and store it in data/")
     return top
 
 

@@ -68,3 +68,8 @@ def difference(one: Mapping, other: Mapping) -> Estimate:
 def share(record: Mapping, clean: Mapping) -> float:
     """The mean return of a record as a part of the clean one; below 0 where the return is."""
     return record["estimate"]["mean"] / clean["estimate"]["mean"]
+
+
+def strikes(record: Mapping) -> float:
+    """The mean number of attacked steps of an episode."""
+    return record["attack_rate"] * float(np.mean(record["lengths"]))

@@ -4,9 +4,15 @@ import csv
 import math
 import os
 import platform
+import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 from detden_lite import artifacts
+from detden_lite.scales import VICTIMS
+from detden_lite.tasks import Task, get_task
+from detden_lite.victim_recipes import PPORecipe, TD3Recipe
+from detden_lite.victim_training import train_victim
 
 STAGES = (
     "victim", "select", "qfunction", "trajectories", "augmentation", "detector", "denoiser", "timing", "adversary",
@@ -43,21 +49,67 @@ def measure(root: Path) -> dict:
     return dict(run=Path(root).resolve().name, machine=machine, rows=rows, versions=artifacts.versions())
 
 
-def show(root: Path, store: bool = False, data: Path = artifacts.DATA) -> None:
-    """Print the stored record as a table; before that, if asked to, measure a run and store what was found."""
-    if store:
-        artifacts.write_json(data / RECORD, measure(root), data)
-    lines = table(artifacts.read_json(data / RECORD, data))
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    for line in lines:
-        print("  ".join(f"{cell:>{width}}" for cell, width in zip(line, widths, strict=True)))
+def training_speed(task: Task, recipe: TD3Recipe | PPORecipe) -> float:
+    """Steps that a victim's training makes in a second of wall-clock time, once it is under way, on this machine."""
+    segment = 4_000 if isinstance(recipe, TD3Recipe) else 8 * recipe.envs * recipe.rollout
+    short = replace(recipe, steps=3 * segment, segment=segment)
+    if isinstance(short, TD3Recipe):
+        short = replace(short, learning_starts=segment)
+    with tempfile.TemporaryDirectory() as folder:
+        # The first segment is random steps or has the compilation in it, and the second may have the rest of that.
+        *_, begin, end = (path.stat().st_mtime for path in train_victim(task, short, 0, Path(folder)))
+    return segment / (end - begin)
+
+
+def measure_trainings(victims=VICTIMS) -> dict:
+    """By row what a victim's training takes: its steps, and the steps that it makes in a second.
+
+    Args:
+        victims: recipes, by task and algorithm.
+    """
+    return {
+        f"{task}-{algo}": dict(steps=recipe.steps, steps_per_second=training_speed(get_task(task), recipe))
+        for (task, algo), recipe in victims.items()
+    }
+
+
+def show(root: Path, store: bool = False, trainings: bool = False, data: Path = artifacts.DATA) -> None:
+    """Print the stored record as tables; before that, if asked to, measure and store what was found.
+
+    Args:
+        root: of the run that is measured.
+        store: whether to measure the run.
+        trainings: whether to measure the victims' trainings, which takes a quarter of an hour.
+        data: where the record is.
+    """
+    path = data / RECORD
+    if store or trainings:
+        record = artifacts.read_json(path, data) if path.exists() else {}
+        record |= measure(root) if store else {}
+        record |= dict(trainings=measure_trainings()) if trainings else {}
+        artifacts.write_json(path, record, data)
+    record = artifacts.read_json(path, data)
+    for lines in (table(record), trainings_table(record)):
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        for line in lines:
+            print("  ".join(f"{cell:>{width}}" for cell, width in zip(line, widths, strict=True)))
+        print()
+
+
+def trainings_table(record: dict) -> list[list[str]]:
+    """The victims' trainings, a line for each row; the first line has the names."""
+    lines = [["row", "steps", "steps a second", "a seed takes"]]
+    for row, found in record.get("trainings", {}).items():
+        speed = found["steps_per_second"]
+        lines.append([row, f"{found['steps']:,}", f"{speed:,.0f}", clock(found["steps"] / speed)])
+    return lines
 
 
 def table(record: dict) -> list[list[str]]:
     """CPU time, a line for each row and a column for each stage, and the sum; the first line has the names."""
-    stages = [stage for stage in STAGES if any(stage in spent for spent in record["rows"].values())]
+    stages = [stage for stage in STAGES if any(stage in spent for spent in record.get("rows", {}).values())]
     lines = [["row", *stages, "all"]]
-    for row, spent in record["rows"].items():
+    for row, spent in record.get("rows", {}).items():
         seconds = [spent[stage]["cpu_seconds"] if stage in spent else None for stage in stages]
         lines.append([row, *(map(clock, seconds)), clock(sum(filter(None, seconds)))])
     return lines

@@ -4,14 +4,15 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
+from builders import BUDGET, HOPPER, make_victim
 
 from detden_lite import artifacts
 from detden_lite.artifacts import ArtifactError
-from detden_lite.attacked import CELLS, CLEAN, NAMES, PAPER, difference, load, share, strongest
+from detden_lite.attacked import CELLS, CLEAN, NAMES, PAPER, difference, load, share, strikes, strongest
 from detden_lite.cards import PAPER as PAPER_CLEAN
 from detden_lite.cards import ROWS
 from detden_lite.metrics import estimate
-from detden_lite.study import SEEDS
+from detden_lite.study import SEEDS, Cell, Threat, run_cell
 
 
 def record(returns, first=8_000_000) -> dict:
@@ -76,3 +77,12 @@ def test_shipped_records_begin_with_the_first_report_episode(task, algo):
     records = load(task, algo)
     assert {found["seeds"][0] for found in records.values()} <= {SEEDS["report"]}
     assert all(found["cell"]["defense"] == "none" and found["task"] == task for found in records.values())
+
+
+def test_strikes_are_the_attacked_steps_of_an_episode():
+    threat = Threat(BUDGET, steps=1, rate=0.5)
+    found, episodes = run_cell(
+        Cell("opposite", "random"), HOPPER, make_victim(seed=8), threat, None, range(4), steps=26
+    )
+    counted = (episodes.attacked & episodes.mask).sum(0).mean()
+    assert 0 < counted < episodes.lengths.mean() and strikes(found) == pytest.approx(counted)

@@ -2,11 +2,14 @@ import json
 import os
 import subprocess
 import sys
+import time
+from dataclasses import replace
 
 import pytest
 
 from detden_lite import artifacts, durations
 from detden_lite.artifacts import ArtifactError
+from detden_lite.scales import TINY_VICTIMS
 
 HEADER = "s\th:m:s\tmax_rss\tmax_vms\tmax_uss\tmax_pss\tio_in\tio_out\tmean_load\tcpu_time\n"
 
@@ -53,7 +56,7 @@ def test_what_was_measured_is_stored_and_printed(run, tmp_path):
     stored = command_line(tmp_path / "data", "--root", run, "--store")
     assert stored.returncode == 0 and "hopper-td3" in stored.stdout and "3.0 h" in stored.stdout
     found = artifacts.read_json(tmp_path / "data" / durations.RECORD, tmp_path / "data")
-    assert found == durations.measure(run)
+    assert found == durations.measure(run) and "trainings" not in found
     assert command_line(tmp_path / "data").stdout == stored.stdout
 
 
@@ -62,3 +65,23 @@ def test_where_nothing_was_measured_or_stored_it_says_so(run, tmp_path):
         durations.show(run, data=tmp_path)
     with pytest.raises(ArtifactError, match="holds no measurement; run `make data` first"):
         durations.show(tmp_path / "empty", store=True, data=tmp_path)
+
+
+def test_the_speed_of_a_training_is_measured_and_kept_beside_the_rest(run, tmp_path, monkeypatch):
+    recipe = replace(TINY_VICTIMS["ppo"], steps=512, segment=512)
+    durations.show(run, store=True, data=tmp_path)
+    monkeypatch.setattr(durations.measure_trainings, "__defaults__", ({("hopper", "ppo"): recipe},))
+    start = time.perf_counter()
+    durations.show(run, trainings=True, data=tmp_path)
+    spent = time.perf_counter() - start
+    record = artifacts.read_json(tmp_path / durations.RECORD, tmp_path)
+    speed = record["trainings"]["hopper-ppo"]["steps_per_second"]
+    # A segment, one of three, cannot have taken longer than all of it.
+    assert 8 * recipe.envs * recipe.rollout / speed < spent
+    assert record.pop("trainings").keys() == {"hopper-ppo"} and record == durations.measure(run)
+
+
+def test_the_time_of_a_training_is_its_steps_by_its_speed():
+    record = dict(trainings={"hopper-td3": dict(steps=500_000, steps_per_second=250.0)})
+    assert durations.trainings_table(record)[1] == ["hopper-td3", "500,000", "250", "33 min"]
+    assert durations.table(record) == [["row", "all"]]
