@@ -37,12 +37,13 @@ TINY_VICTIMS = {
 }
 
 # Of the enchanting attack: what is reported, and in the sweep of what planning costs, how far and how hard it searches.
-PLANNER = dict(horizon=10, population=32, iterations=1, elites=6)
+PLANNER = dict(horizon=10, population=8, iterations=1, elites=2)
 PLANNERS = (
     *(PLANNER | dict(horizon=horizon) for horizon in (1, 2, 5)),
     PLANNER,
     PLANNER | dict(horizon=30),
-    PLANNER | dict(population=4, elites=2),
+    PLANNER | dict(population=4),
+    PLANNER | dict(population=32, elites=6),
     PLANNER | dict(population=64, iterations=4, elites=8),
     PLANNER | dict(population=128, iterations=4, elites=16),
 )

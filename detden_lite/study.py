@@ -162,6 +162,9 @@ def run_cell(
     return record, episodes
 
 
+TIE = 0.02  # a relative difference in damage that does not count
+
+
 def tune_vulnerable(
     task: Task, victim: Victim, threat: Threat, n: int = 32, keep: float = 0.5, steps: int | None = None,
     bisections: int = 5,
@@ -171,7 +174,8 @@ def tune_vulnerable(
     Only thresholds count that keep half of the damage of attacking always: a single strike may be the most efficient,
     but leaves the victim standing. They are quantiles of V in clean episodes, up to the first that attacks always.
     Since an attacked victim is more vulnerable, the share of attacked steps may jump from one of them to the next; so
-    the step from too little damage to enough is bisected.
+    the step from too little damage to enough is bisected. Of thresholds that do the most within 2 %, the lowest is
+    chosen.
 
     Args:
         task: where.
@@ -222,7 +226,9 @@ def tune_vulnerable(
         if first:
             low, high = (sweep[i]["c_vul"] for i in (first - 1, first))
             sweep.insert(first, row((low + high) / 2))
-    chosen = max(filter(enough, sweep), key=lambda row: row["damage_per_attack"], default=sweep[-1])
+    candidates = [row for row in sweep if enough(row)] or sweep[-1:]
+    most = max(row["damage_per_attack"] for row in candidates)
+    chosen = next(row for row in candidates if row["damage_per_attack"] >= (1 - TIE) * most)
     return dict(
         c_vul=chosen["c_vul"], attack_rate=chosen["attack_rate"], clean_return=clean_return,
         always_return=always_return, sweep=sweep, seeds=[episode_seeds[0], n],
