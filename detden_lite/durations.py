@@ -51,7 +51,7 @@ def measure(root: Path) -> dict:
 
 def training_speed(task: Task, recipe: TD3Recipe | PPORecipe) -> float:
     """Steps that a victim's training makes in a second of wall-clock time, once it is under way, on this machine."""
-    segment = 4_000 if isinstance(recipe, TD3Recipe) else 8 * recipe.envs * recipe.rollout
+    segment = 2_000 if isinstance(recipe, TD3Recipe) else 4 * recipe.envs * recipe.rollout
     short = replace(recipe, steps=3 * segment, segment=segment)
     if isinstance(short, TD3Recipe):
         short = replace(short, learning_starts=segment)
@@ -79,7 +79,7 @@ def show(root: Path, store: bool = False, trainings: bool = False, data: Path = 
     Args:
         root: of the run that is measured.
         store: whether to measure the run.
-        trainings: whether to measure the victims' trainings, which takes a quarter of an hour.
+        trainings: whether to measure the victims' trainings, which takes some minutes.
         data: where the record is.
     """
     path = data / RECORD

@@ -77,7 +77,7 @@ def test_the_speed_of_a_training_is_measured_and_kept_beside_the_rest(run, tmp_p
     record = artifacts.read_json(tmp_path / durations.RECORD, tmp_path)
     speed = record["trainings"]["hopper-ppo"]["steps_per_second"]
     # A segment, one of three, cannot have taken longer than all of it.
-    assert 8 * recipe.envs * recipe.rollout / speed < spent
+    assert 4 * recipe.envs * recipe.rollout / speed < spent
     assert record.pop("trainings").keys() == {"hopper-ppo"} and record == durations.measure(run)
 
 
