@@ -1,5 +1,5 @@
 import torch
-from builders import BUDGET, make_gruvae, normal
+from builders import make_gruvae, normal
 
 from detden_lite.defense import Denoiser
 
@@ -21,14 +21,6 @@ def test_the_latent_is_sampled_with_the_episodes_own_numbers():
     assert torch.allclose(denoise(Denoiser(make_gruvae()), obs[1:2], [5]), together[1:2], atol=1e-6)
     assert not torch.allclose(denoise(Denoiser(make_gruvae()), obs, [7, 8, 9]), together)
     assert not torch.allclose(denoise(Denoiser(make_gruvae(), sample=False), obs, [4, 5, 6]), together)
-
-
-def test_with_a_budget_the_output_is_projected_into_the_ball():
-    model, obs = make_gruvae(), normal(4, 6, 11)
-    free = denoise(Denoiser(model), obs, range(4))
-    projected = denoise(Denoiser(model, budget=BUDGET), obs, range(4))
-    assert not BUDGET.contains(obs, free).any() and BUDGET.contains(obs, projected).all()
-    assert torch.allclose(projected, BUDGET.project(obs, free), atol=1e-6)
 
 
 def test_memory_begins_anew_at_reset():

@@ -1,6 +1,6 @@
 import pytest
 import torch
-from builders import make_defense, make_gruvae, normal
+from builders import BUDGET, make_defense, make_gruvae, normal
 
 from detden_lite.defense import Denoiser, DetectAndDenoise, Detector
 
@@ -37,6 +37,27 @@ def test_always_is_deaf_to_the_detector():
     defense = make_defense(threshold=float("inf"))
     for verdict in run(DetectAndDenoise(defense.detector, defense.denoiser, always=True), normal(3, 4, 11)):
         assert torch.equal(verdict.obs, verdict.denoised) and not verdict.alarm.any()
+
+
+def test_without_a_denoiser_the_detectors_reconstruction_is_shown():
+    obs, detector = normal(6, 20, 11), make_defense(threshold=2.0).detector
+    verdicts = run(DetectAndDenoise(make_defense(threshold=2.0).detector), obs)
+    detector.reset(range(6))
+    for o, v in zip(obs.unbind(1), verdicts, strict=True):
+        _, alarm, reconstruction = detector.step(o)
+        assert torch.equal(v.denoised, reconstruction) and torch.equal(v.alarm, alarm)
+        assert torch.equal(v.obs, torch.where(alarm[:, None], reconstruction, o))
+
+
+@pytest.mark.parametrize("denoiser", [None, make_defense().denoiser])
+def test_with_a_budget_what_is_denoised_is_projected_into_the_ball(denoiser):
+    obs, detector = normal(6, 20, 11), make_defense(threshold=2.0).detector
+    free = run(DetectAndDenoise(detector, denoiser), obs)
+    projected = run(DetectAndDenoise(detector, denoiser, budget=BUDGET), obs)
+    for o, f, p in zip(obs.unbind(1), free, projected, strict=True):
+        assert not BUDGET.contains(o, f.denoised).any() and BUDGET.contains(o, p.denoised).all()
+        assert torch.equal(p.denoised, BUDGET.project(o, f.denoised))
+        assert torch.equal(p.obs, torch.where(p.alarm[:, None], p.denoised, o)) and torch.equal(p.alarm, f.alarm)
 
 
 def test_detector_and_denoiser_draw_independently():

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from detden_lite.budget import Budget
 from detden_lite.defense.gruvae import GRUVAE, forget
 from detden_lite.draws import Draws
 
@@ -17,12 +16,10 @@ class Denoiser:
         model: the trained network.
         seed: of the latent samples.
         sample: whether to sample the latent, as the paper does, or to take its mean.
-        budget: if given, the output is projected into B(o_hat): the truth lies there if the attacker kept to the
-            budget. The paper does not do this (its released code does).
     """
 
-    def __init__(self, model: GRUVAE, seed: int = 3, sample: bool = True, budget: Budget | None = None):
-        self.model, self.seed, self.sample, self.budget = model, seed, sample, budget
+    def __init__(self, model: GRUVAE, seed: int = 3, sample: bool = True):
+        self.model, self.seed, self.sample = model, seed, sample
 
     def reset(self, episodes: Sequence[int]) -> None:
         """Begin new episodes, one seed each."""
@@ -39,5 +36,4 @@ class Denoiser:
         noise = self.draws.normal(len(obs), self.model.latent_dim)[:, None] if self.sample else None
         result = self.model(obs[:, None], noise, self.state)
         self.state = result.state
-        denoised = result.output[:, 0]
-        return denoised if self.budget is None else self.budget.project(obs, denoised)
+        return result.output[:, 0]

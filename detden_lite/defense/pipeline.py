@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from detden_lite.defense.denoiser import Denoiser
-from detden_lite.defense.detector import Detector
+from detden_lite.budget import Budget
 
 
 @dataclass(frozen=True)
@@ -21,26 +20,60 @@ class Verdict:
 
 
 class DetectAndDenoise:
-    """The paper's defence. Both networks see every observation, so that their memories stay in step with the episode.
+    """The paper's defence. Both parts see every observation, so that their memories stay in step with the episode.
+
+    A detector has a ``threshold`` and ``step(obs) -> score, alarm, reconstruction``; a denoiser has
+    ``step(obs) -> denoised``; both have ``reset(episodes)`` and ``restart(i, episode)``. The GRU-VAEs of the paper, the
+    baselines and the oracles may be put together freely.
 
     Args:
         detector: raises the alarm.
-        denoiser: cleans what is alarming.
+        denoiser: cleans what is alarming; None for the detector's own reconstruction, an ablation.
         always: denoise at every step, whatever the detector says; an ablation.
+        budget: if given, what is denoised is projected into B(o_hat): the truth lies there if the attacker kept to the
+            budget. The paper does not do this (its released code does).
     """
 
-    def __init__(self, detector: Detector, denoiser: Denoiser, always: bool = False):
-        self.detector, self.denoiser, self.always = detector, denoiser, always
+    def __init__(self, detector, denoiser=None, always: bool = False, budget: Budget | None = None):
+        self.detector, self.denoiser, self.always, self.budget = detector, denoiser, always, budget
+
+    @property
+    def parts(self) -> list:
+        """The detector, and the denoiser if there is one."""
+        return [part for part in (self.detector, self.denoiser) if part is not None]
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """What no defender knows and an oracle has to be told: "truth", or nothing."""
+        return frozenset().union(*(getattr(part, "needs", ()) for part in self.parts))
+
+    @property
+    def ablations(self) -> list[str]:
+        """The names of what is not as the paper has it, for a result record."""
+        changes = dict(
+            always=self.always,
+            projected=self.budget is not None,
+            detector_only=self.denoiser is None,
+            latent_mean=not all(getattr(part, "sample", True) for part in self.parts),
+            truth="truth" in self.needs,
+        )
+        return [name for name, changed in changes.items() if changed]
 
     def reset(self, episodes: Sequence[int]) -> None:
         """Begin new episodes, one seed each."""
-        self.detector.reset(episodes)
-        self.denoiser.reset(episodes)
+        for part in self.parts:
+            part.reset(episodes)
 
     def restart(self, i: int, episode: int) -> None:
         """Begin a new episode in row i; the others go on."""
-        self.detector.restart(i, episode)
-        self.denoiser.restart(i, episode)
+        for part in self.parts:
+            part.restart(i, episode)
+
+    def reveal(self, true: Tensor, attacked: Tensor) -> None:
+        """Tell the parts that are oracles what no defender knows of the next observation; only ``rollout`` does."""
+        for part in self.parts:
+            if "truth" in getattr(part, "needs", ()):
+                part.reveal(true, attacked)
 
     def __call__(self, obs: Tensor) -> Verdict:
         """Judge one observation of each episode, ``[N, obs_dim]``.
@@ -50,7 +83,9 @@ class DetectAndDenoise:
         """
         if not torch.isfinite(obs).all():
             raise ValueError("obs holds NaN or infinity; check the sensor before the defence")
-        score, alarm, _ = self.detector.step(obs)
-        denoised = self.denoiser.step(obs)
+        score, alarm, reconstruction = self.detector.step(obs)
+        denoised = reconstruction if self.denoiser is None else self.denoiser.step(obs)
+        if self.budget is not None:
+            denoised = self.budget.project(obs, denoised)
         use = torch.ones_like(alarm) if self.always else alarm
         return Verdict(torch.where(use[:, None], denoised, obs), alarm, score, denoised)
