@@ -79,7 +79,8 @@ def rollout(
         seeds: one an episode; they fix the start, and every random number of attack and defence in that episode.
         attack: see ``detden_lite.attacks``; None for clean episodes.
         timing: when to attack; always by default.
-        defense: see ``detden_lite.defense``; None for a bare policy.
+        defense: see ``detden_lite.defense``; None for a bare policy. Only one that ``needs`` the truth, an oracle, is
+            told it.
         action_noise: standard deviation of Gaussian noise on the actions, in units of half their range; a number, one
             for each episode ``[N]``, or one for each of their actions ``[N, action_dim]``.
         steps: the longest an episode may be; the task's horizon by default.
@@ -123,6 +124,8 @@ def rollout(
             perturbed = torch.where(attacked[:, None], attack(true, world), true)
         shown, alarm, score, denoised = perturbed, nothing, no_score, perturbed
         if defense is not None:
+            if "truth" in getattr(defense, "needs", ()):
+                defense.reveal(true, attacked)
             verdict = defense(perturbed)
             shown, alarm, score, denoised = verdict.obs, verdict.alarm, verdict.score, verdict.denoised
         action = victim(shown)
