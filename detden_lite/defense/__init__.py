@@ -1,4 +1,7 @@
-"""The defender's side: two GRU-VAEs, a detector that says when to defend and a denoiser that says how (section 3.1)."""
+"""The defender's side: two GRU-VAEs, a detector that says when to defend and a denoiser that says how (section 3.1).
+
+Beside them: the ``baselines`` that they have to beat, and the ``oracles`` that none can.
+"""
 
 from detden_lite.defense.denoiser import Denoiser
 from detden_lite.defense.detector import Detector

@@ -1,0 +1,117 @@
+"""What the GRU-VAEs have to beat: detectors and denoisers of a few lines, with the same interface (pipeline.py)."""
+
+from collections.abc import Sequence
+from math import inf, nan
+
+import torch
+from torch import Tensor
+
+from detden_lite.budget import Budget
+from detden_lite.defense.linear import Gaussian, LinearModel, steady_gain
+
+
+class Identity:
+    """The denoiser that does nothing. Its error is the attack's size: an MAE near epsilon is no merit."""
+
+    def reset(self, episodes: Sequence[int]) -> None:
+        """Begin new episodes; there is no memory."""
+
+    def restart(self, i: int, episode: int) -> None:
+        """Begin a new episode in row i; there is no memory."""
+
+    def step(self, obs: Tensor) -> Tensor:
+        """o_hat itself, ``[N, obs_dim]``."""
+        return obs
+
+
+class KalmanFilter:
+    """The best linear denoiser, if the robot were linear and the attack independent noise as large as the ball allows.
+
+    The model is of all dimensions together: what one filter a dimension could know is a part of that, and a velocity
+    may speak for a position. Its gain is the one that it settles at, so that a step is two products of matrices, the
+    same for all episodes.
+
+    Args:
+        model: fitted on D_normal.
+        budget: the attacker's ball, from which the measurement noise is taken: epsilon (times scale) squared is the
+            largest variance of a dimension; for the norms 2 and 1, which all dimensions share, its mean over them.
+    """
+
+    def __init__(self, model: LinearModel, budget: Budget):
+        size = torch.as_tensor(budget.epsilon * budget.scale, dtype=torch.float64).expand_as(model.start)
+        share = 1 if budget.norm == inf else len(model.start)
+        self.model, self.gain = model, steady_gain(model, torch.diag(size.square() / share))
+
+    def reset(self, episodes: Sequence[int]) -> None:
+        """Begin new episodes, whose first observation is expected to be as in D_normal."""
+        self.expected = self.model.start.repeat(len(episodes), 1)
+
+    def restart(self, i: int, episode: int) -> None:
+        """Begin a new episode in row i; the others go on."""
+        self.expected[i] = self.model.start
+
+    def step(self, obs: Tensor) -> Tensor:
+        """The filtered observation ``[N, obs_dim]``."""
+        filtered = self.expected + (obs - self.expected) @ self.gain.T
+        self.expected = self.model.predict(filtered)
+        return filtered.to(obs.dtype)
+
+
+class MahalanobisDetector:
+    """An observation far from all of D_normal is an anomaly; without memory.
+
+    Args:
+        gaussian: fitted on D_normal.
+        threshold: an alarm is a score above it; ``calibrate`` gives it.
+    """
+
+    def __init__(self, gaussian: Gaussian, threshold: float):
+        self.mean, self.threshold = gaussian.mean, float(threshold)
+        self.factor = torch.linalg.cholesky(gaussian.covariance)
+
+    def reset(self, episodes: Sequence[int]) -> None:
+        """Begin new episodes; there is no memory."""
+
+    def restart(self, i: int, episode: int) -> None:
+        """Begin a new episode in row i; there is no memory."""
+
+    def step(self, obs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The distance from the mean ``[N]``, the alarm ``[N]`` bool, and the mean as reconstruction."""
+        score = _mahalanobis(obs - self.mean, self.factor).to(obs.dtype)
+        return score, score > self.threshold, self.mean.to(obs.dtype).expand_as(obs)
+
+
+class PredictionDetector:
+    """An observation that does not follow from the one before is an anomaly: the error of the linear model's step.
+
+    The error's size is its Mahalanobis distance, under Q. What follows an attacked observation may be alarming too,
+    since it is predicted from that one. An episode's first observation follows from nothing; its score is 0.
+
+    Args:
+        model: fitted on D_normal.
+        threshold: an alarm is a score above it; ``calibrate`` gives it.
+    """
+
+    def __init__(self, model: LinearModel, threshold: float):
+        self.model, self.threshold = model, float(threshold)
+        self.factor = torch.linalg.cholesky(model.noise)
+
+    def reset(self, episodes: Sequence[int]) -> None:
+        """Begin new episodes."""
+        self.expected = torch.full((len(episodes), len(self.model.offset)), nan, dtype=torch.float64)
+
+    def restart(self, i: int, episode: int) -> None:
+        """Begin a new episode in row i; the others go on."""
+        self.expected[i] = nan
+
+    def step(self, obs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The prediction's error ``[N]``, the alarm ``[N]`` bool, and the prediction as reconstruction."""
+        expected = torch.where(self.expected.isnan(), obs, self.expected)
+        self.expected = self.model.predict(obs)
+        score = _mahalanobis(obs - expected, self.factor).to(obs.dtype)
+        return score, score > self.threshold, expected.to(obs.dtype)
+
+
+def _mahalanobis(deviation: Tensor, factor: Tensor) -> Tensor:
+    """sqrt(x S^-1 x) of each row ``[N, obs_dim]``, from the Cholesky factor of S; ``[N]``."""
+    return torch.linalg.solve_triangular(factor, deviation.T, upper=False).norm(dim=0)
