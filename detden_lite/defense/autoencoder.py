@@ -1,0 +1,99 @@
+"""A denoising auto-encoder without memory: what the GRUs add to it is what the past is worth (a baseline)."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+from tqdm import tqdm
+
+from detden_lite.defense.augmentation import Trajectories
+from detden_lite.defense.gruvae import reconstruction_loss
+from detden_lite.victims import mlp
+
+
+class DenoisingAutoencoder(nn.Module):
+    """A perceptron from o_hat to o, which is a denoiser as it stands (see the pipeline).
+
+    Args:
+        obs_dim: size of an observation.
+        hidden: size of the layers before and behind the latent one.
+        latent: size of the latent layer.
+        residual: as in the GRU-VAE: the output is the network's, or the input plus the network's.
+    """
+
+    def __init__(self, obs_dim: int, hidden: int = 64, latent: int = 64, residual: bool = False):
+        super().__init__()
+        self.config = dict(obs_dim=obs_dim, hidden=hidden, latent=latent, residual=residual)
+        self.net = mlp([obs_dim, hidden, latent, hidden, obs_dim])
+        self.register_buffer("obs_mean", torch.zeros(obs_dim))
+        self.register_buffer("obs_std", torch.ones(obs_dim))
+
+    def forward(self, obs: Tensor) -> Tensor:
+        """The denoised observation, ``[..., obs_dim]``; z-scored on the way in, and back on the way out."""
+        x = (obs - self.obs_mean) / self.obs_std
+        out = x + self.net(x) if self.config["residual"] else self.net(x)
+        return out * self.obs_std + self.obs_mean
+
+    def reset(self, episodes: Sequence[int]) -> None:
+        """Begin new episodes; there is no memory."""
+
+    def restart(self, i: int, episode: int) -> None:
+        """Begin a new episode in row i; there is no memory."""
+
+    @torch.no_grad()
+    def step(self, obs: Tensor) -> Tensor:
+        """The denoised observation ``[N, obs_dim]``."""
+        return self(obs)
+
+
+def train_autoencoder(
+    normal: Trajectories,
+    inputs: Sequence[Trajectories],
+    seed: int,
+    hidden: int = 64,
+    latent: int = 64,
+    residual: bool = False,
+    epochs: int = 5,
+    batch: int = 512,
+    learning_rate: float = 1e-3,
+) -> DenoisingAutoencoder:
+    """Learn to say the true observation from each of its versions, by Adam on the squared z-scored error.
+
+    Args:
+        normal: D_normal, the targets.
+        inputs: versions of the same trajectories, ``[normal, adversarial]`` for D_normal and D_adv together.
+        seed: of initialisation and order.
+        hidden: see ``DenoisingAutoencoder``.
+        latent: see ``DenoisingAutoencoder``.
+        residual: see ``DenoisingAutoencoder``.
+        epochs: how often each observation is seen in each version.
+        batch: observations of one step, each in all versions.
+        learning_rate: at the beginning; it falls along half a cosine to zero, as the GRU-VAE's does.
+
+    Returns:
+        The trained model, frozen.
+
+    Raises:
+        ValueError: if there are no ``inputs``, or one is of other trajectories.
+    """
+    if not inputs or any(t.obs.shape != normal.obs.shape or (t.lengths != normal.lengths).any() for t in inputs):
+        raise ValueError("inputs must hold at least one version of the trajectories of normal, of the same lengths")
+    torch.manual_seed(seed)
+    model = DenoisingAutoencoder(normal.obs.shape[-1], hidden, latent, residual)
+    episode, step = map(torch.from_numpy, normal.mask.nonzero())
+    target, versions = torch.from_numpy(normal.obs), [torch.from_numpy(t.obs) for t in inputs]
+    std, mean = torch.std_mean(target[episode, step], 0)
+    model.obs_mean.copy_(mean)
+    model.obs_std.copy_(torch.where(std > 1e-4, std, 1.0))  # as in the GRU-VAE
+    optimizer = torch.optim.Adam(model.parameters(), lr=learning_rate)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs * math.ceil(len(step) / batch))
+    for _ in tqdm(range(epochs), desc="denoising auto-encoder", unit="epoch"):
+        for rows in torch.randperm(len(step)).split(batch):
+            at = episode[rows], step[rows]
+            loss = sum(reconstruction_loss(model, model(version[at]), target[at]).mean() for version in versions)
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            schedule.step()
+    return model.requires_grad_(False).eval()
