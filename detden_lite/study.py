@@ -117,7 +117,7 @@ class Threat:
 
 def run_cell(
     cell: Cell, task: Task, victim: Victim, threat: Threat, defense, episode_seeds, steps: int | None = None,
-    progress: str | None = None,
+    progress: str | None = None, clean: Episodes | None = None,
 ) -> tuple[dict, Episodes]:  # fmt: skip
     """Run a cell. Returns its record, ready for JSON, and the episodes.
 
@@ -130,6 +130,7 @@ def run_cell(
         episode_seeds: one an episode; the same for all cells of a table.
         steps: the longest an episode may be; the task's horizon by default.
         progress: text of a progress bar, None for no bar.
+        clean: the episodes of the cell without an attack but with this defence, for the scores that need them.
     """
     if (defense is None) != (cell.defense == "none"):
         raise ValueError(f"defense: the cell says {cell.defense!r}, so give {'None' if defense is not None else 'one'}")
@@ -150,12 +151,13 @@ def run_cell(
         settings["rate"] = threat.rate
     if defense is not None:
         settings["c_anomaly"] = defense.detector.threshold
+        settings |= dict.fromkeys(defense.ablations, True)
     record = dict(
         task=task.name,
         cell=asdict(cell),
         settings=settings,
         seeds=[int(episode_seeds[0]), len(episode_seeds)],
-        **summarize(episodes),
+        **summarize(episodes, clean),
         seconds=time.perf_counter() - start,
         versions=versions(),
     )

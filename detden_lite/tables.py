@@ -8,7 +8,7 @@ from detden_lite import artifacts
 
 COLUMNS = (
     "row", "attack", "timing", "defense", "n", "mean", "low", "high", "attack_rate",
-    "accuracy", "f1", "false_negative_rate", "mae",
+    "accuracy", "f1", "false_negative_rate", "auroc", "auroc_clean", "delay", "missed", "mae", "mae_live",
 )  # fmt: skip
 
 
@@ -16,7 +16,7 @@ def collect(root: Path) -> list[dict]:
     """The records of a run, each as one line: a value for each of ``COLUMNS``.
 
     ``row`` is "hopper-td3"; ``mean``, ``low`` and ``high`` are of the return; ``mae`` is in the observations' own
-    units. A rate that is not defined (the false negatives where nothing is attacked) is None.
+    units. What is not defined (the false negatives where nothing is attacked) or not in an older record is None.
 
     Raises:
         ArtifactError: if there is no record, or one is altered.
@@ -41,4 +41,7 @@ def write(root: Path) -> Path:
 def _line(row: str, record: dict) -> dict:
     values = {**record["cell"], **record["estimate"], **record["detector"]}
     values |= dict(row=row, attack_rate=record["attack_rate"], mae=record["denoiser_mae"])
+    delay = record.get("delay", {})
+    values |= dict(delay=delay.get("mean"), missed=delay.get("missed"), mae_live=record.get("denoiser_mae_live"))
+    values |= dict(auroc=record.get("auroc"), auroc_clean=record.get("auroc_clean"))
     return {column: values[column] for column in COLUMNS}

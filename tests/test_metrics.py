@@ -1,12 +1,27 @@
+import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from builders import BUDGET, HOPPER, make_defense, make_victim
-from scipy.stats import bootstrap, trim_mean
+from builders import BUDGET, HOPPER, make_defense, make_victim, steady
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import bootstrap, mannwhitneyu, trim_mean
 
 from detden_lite.attacks import Random, UniformNoise
-from detden_lite.metrics import detector_scores, estimate, iqm, mean_absolute_error, summarize
+from detden_lite.metrics import (
+    auroc,
+    detection_delay,
+    detection_delays,
+    detector_scores,
+    estimate,
+    iqm,
+    live_dimensions,
+    mean_absolute_error,
+    score_auroc,
+    summarize,
+)
 from detden_lite.rollout import rollout
 
 
@@ -75,6 +90,121 @@ def test_the_error_of_the_denoiser_counts_attacked_steps_of_living_episodes():
     assert (
         mean_absolute_error(SimpleNamespace(obs=obs, denoised=denoised, attacked=attacked & ~mask, mask=mask)) is None
     )
+
+
+few = st.lists(st.integers(-3, 3).map(float), min_size=1, max_size=30)  # with many ties
+
+
+@steady
+@given(few, few)
+def test_auroc_is_the_share_of_pairs_that_are_in_order(positive, negative):
+    pairs = [(p > n) + (p == n) / 2 for p in positive for n in negative]
+    found = auroc(positive, negative)
+    assert found == pytest.approx(np.mean(pairs))
+    assert found == pytest.approx(mannwhitneyu(positive, negative).statistic / len(pairs))
+    assert auroc(negative, positive) == pytest.approx(1 - found)
+    assert auroc(np.exp(positive), np.exp(negative)) == found  # only the order counts
+
+
+def test_auroc_needs_both_kinds_and_numbers():
+    assert auroc([1.0], []) is None and auroc([], [1.0]) is None
+    assert auroc([2.0, 3.0], [1.0]) == 1 and auroc([1.0], [1.0]) == 0.5
+    with pytest.raises(ValueError, match="positive"):
+        auroc([np.nan], [1.0])
+
+
+@st.composite
+def many_episodes(draw):
+    """Episodes of several lengths, now and then attacked, alarmed and scored; beyond an end it goes on."""
+    steps, n = draw(st.integers(1, 12)), draw(st.integers(1, 4))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    attacked = rng.random((steps, n)) < draw(st.sampled_from([0.0, 0.3, 0.8, 1.0]))
+    alarm = rng.random((steps, n)) < draw(st.sampled_from([0.0, 0.1, 0.5]))
+    mask = np.arange(steps)[:, None] < rng.integers(1, steps + 1, n)
+    return SimpleNamespace(
+        mask=mask, attacked=attacked, alarm=alarm, score=rng.integers(0, 9, (steps, n)).astype(float)
+    )
+
+
+@steady
+@given(many_episodes())
+def test_the_delay_is_counted_from_the_beginning_of_each_attack(episodes):
+    expected = []
+    for i in range(episodes.mask.shape[1]):
+        before = False
+        for t in range(episodes.mask[:, i].sum()):
+            now = episodes.attacked[t, i]
+            if now and not before:
+                expected.append(np.inf)
+                end = t
+                while end < episodes.mask[:, i].sum() and episodes.attacked[end, i]:
+                    if episodes.alarm[end, i]:
+                        expected[-1] = end - t
+                        break
+                    end += 1
+            before = now
+    assert sorted(detection_delays(episodes)) == sorted(expected)
+    found, noticed = detection_delay(episodes), [delay for delay in expected if delay < np.inf]
+    assert (found.attacks, found.missed) == (len(expected), len(expected) - len(noticed))
+    assert found.longest == (max(noticed) if noticed else None)
+    assert found.mean == (pytest.approx(np.mean(noticed)) if noticed else None)
+
+
+def test_the_delays_stand_in_the_order_in_which_the_attacks_begin():
+    columns = [
+        ("alarm", "..!..!", ".....!"),
+        ("attacked", "xxx.x.", ".xxxxx"),  # 2, never (the alarm comes after the end); 4
+    ]
+    rows = {name: np.array([[c in "x!" for c in text] for text in texts]).T for name, *texts in columns}
+    episodes = SimpleNamespace(mask=np.ones((6, 2), bool), **rows)
+    assert detection_delays(episodes).tolist() == [2, 4, np.inf]
+    short = SimpleNamespace(mask=np.arange(6)[:, None] < [6, 5], **rows)
+    assert detection_delays(short).tolist() == [2, np.inf, np.inf]
+
+
+@steady
+@given(many_episodes(), many_episodes())
+def test_the_scores_auroc_is_that_of_living_steps(episodes, clean):
+    living = [(t, i) for t, i in np.ndindex(episodes.mask.shape) if episodes.mask[t, i]]
+    positive = [episodes.score[at] for at in living if episodes.attacked[at]]
+    others = [episodes.score[at] for at in living if not episodes.attacked[at]]
+    assert score_auroc(episodes) == auroc(positive, others)
+    assert score_auroc(episodes, clean) == auroc(positive, clean.score[clean.mask])
+
+
+def test_a_dimension_lives_if_it_varies_in_clean_episodes_before_they_end():
+    obs = np.zeros((3, 2, 4), np.float32)
+    obs[..., 0] = 1e3  # constant
+    obs[..., 1] = [[0, 1], [2, 3], [4, 5]]
+    obs[2, 1, 2] = 7  # after the end
+    obs[0, 0, 3] = 1e-6  # hardly
+    clean = SimpleNamespace(obs=obs, mask=np.array([[1, 1], [1, 1], [1, 0]], bool))
+    assert live_dimensions(clean).tolist() == [False, True, False, False]
+    attacked = SimpleNamespace(obs=obs, denoised=obs + [9, 2, 5, 8], attacked=clean.mask, mask=clean.mask)
+    assert mean_absolute_error(attacked, live_dimensions(clean)) == 2 and mean_absolute_error(attacked) == 6
+    assert mean_absolute_error(attacked, np.zeros(4, bool)) is None
+
+
+def test_a_summary_with_clean_episodes_says_what_needs_them_and_changes_nothing_else():
+    victim, defense = make_victim(seed=8), make_defense(threshold=1.5)
+    clean = rollout(victim, HOPPER, range(6), defense=defense, steps=40)
+    attacked = rollout(victim, HOPPER, range(6), attack=UniformNoise(BUDGET), defense=defense, steps=40)
+    without, summary = summarize(attacked), summarize(attacked, clean)
+    more = {name: summary[name] for name in summary if name not in without}
+    assert {name: summary[name] for name in without} == without
+    assert without["auroc"] is None and without["delay"]["attacks"] == 6  # attacked always
+    assert more["auroc_clean"] == score_auroc(attacked, clean) > 0
+    assert more["live_dimensions"] == 11
+    assert more["denoiser_mae_live"] == pytest.approx(summary["denoiser_mae"], rel=1e-5)
+    frozen = replace(clean, obs=np.where(np.arange(11) < 4, clean.obs, 0))
+    assert summarize(attacked, frozen)["live_dimensions"] == 4
+    error = np.abs(attacked.denoised - attacked.obs)[attacked.mask][:, :4].mean()
+    assert summarize(attacked, frozen)["denoiser_mae_live"] == pytest.approx(error, rel=1e-5)
+    quiet = summarize(clean, clean)
+    assert quiet["auroc"] is quiet["auroc_clean"] is quiet["denoiser_mae_live"] is None
+    assert quiet["delay"] == dict(attacks=0, missed=0, mean=None, longest=None)
+    for found in (summary, quiet):
+        assert json.loads(json.dumps(found, allow_nan=False)) == found
 
 
 def test_a_summary_says_what_happened_and_ignores_what_came_after_the_end():

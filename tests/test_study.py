@@ -8,6 +8,9 @@ import torch
 from builders import BUDGET, HOPPER, make_defense, make_victim
 
 from detden_lite.attacks import OppositeAttack, Vulnerable
+from detden_lite.defense import Denoiser, DetectAndDenoise
+from detden_lite.defense.oracles import OracleDetector
+from detden_lite.metrics import score_auroc
 from detden_lite.rollout import rollout
 from detden_lite.study import SEEDS, Cell, Threat, run_cell, seeds, tune_vulnerable
 from detden_lite.victims import Victim
@@ -20,8 +23,8 @@ def victim():
     return make_victim(seed=8)
 
 
-def run(victim, cell, defense=None, n=4):
-    return run_cell(cell, HOPPER, victim, THREAT, defense, seeds("report", n), steps=26)
+def run(victim, cell, defense=None, n=4, clean=None):
+    return run_cell(cell, HOPPER, victim, THREAT, defense, seeds("report", n), steps=26, clean=clean)
 
 
 def test_a_record_says_what_was_done_and_what_came_of_it(victim):
@@ -35,6 +38,28 @@ def test_a_record_says_what_was_done_and_what_came_of_it(victim):
     assert record["returns"] == episodes.returns.tolist()
     assert 0 < record["attack_rate"] < 1
     assert cell.record_name("hopper", "td3") == "hopper-td3.opposite.random.mine"
+
+
+def test_the_settings_say_what_is_not_the_papers_about_a_defence(victim):
+    own = make_defense()
+    for defense, expected in (
+        (own, {}),
+        (DetectAndDenoise(own.detector, own.denoiser, always=True), dict(always=True)),
+        (DetectAndDenoise(own.detector, own.denoiser, budget=BUDGET), dict(projected=True)),
+        (DetectAndDenoise(own.detector), dict(detector_only=True)),
+        (DetectAndDenoise(own.detector, Denoiser(own.denoiser.model, sample=False)), dict(latent_mean=True)),
+        (DetectAndDenoise(OracleDetector(), own.denoiser), dict(truth=True, c_anomaly=0.5)),
+    ):
+        settings = run(victim, Cell("uniform", defense="mine"), defense)[0]["settings"]
+        assert settings == dict(epsilon=0.075, norm="inf", c_anomaly=1.5) | expected
+
+
+def test_a_record_takes_what_it_is_compared_with_from_clean_episodes(victim):
+    _, clean = run(victim, Cell(defense="mine"), make_defense())
+    cell = Cell("uniform", defense="mine")
+    record, episodes = run(victim, cell, make_defense(), clean=clean)
+    assert record["auroc_clean"] == score_auroc(episodes, clean)
+    assert "auroc_clean" not in run(victim, cell, make_defense())[0]
 
 
 @pytest.mark.parametrize(("attack", "steps"), [("none", None), ("uniform", None), ("fgsm", 1), ("opposite", 3)])
