@@ -54,7 +54,7 @@ def train_autoencoder(
     hidden: int = 64,
     latent: int = 64,
     residual: bool = False,
-    epochs: int = 5,
+    epochs: int = 10,
     batch: int = 512,
     learning_rate: float = 1e-3,
 ) -> DenoisingAutoencoder:
