@@ -1,12 +1,16 @@
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from builders import BUDGET
 
 from detden_lite.defense.augmentation import Trajectories
 from detden_lite.defense.gruvae import reconstruction_loss
+from detden_lite.defense.regularizer import Regularizer
 from detden_lite.defense.training import VAERecipe, train_gruvae
+from detden_lite.victims import Victim
 
 RECIPE = VAERecipe(hidden=16, latent=4, epochs=4, batch=8, chunk=7, learning_rate=1e-2)
 
@@ -24,6 +28,11 @@ def waves(n: int = 24, steps: int = 20, seed: int = 0) -> Trajectories:
 
 NORMAL = waves()
 PAIRS = [(NORMAL, NORMAL)]
+ATTACKED = Trajectories(NORMAL.obs + NORMAL.mask[..., None] * np.float32(0.3), NORMAL.lengths)
+BOTH = [*PAIRS, (ATTACKED, NORMAL)]
+REGULARIZER = Regularizer(Victim([3, 8, 2], [5, 8, 1]), BUDGET)
+# Each of what training can do besides: R, and inputs that are attacked now and then.
+MORE = [dict(lam=0.5), dict(least_share=0.2, least_size=0.5)]
 
 
 def same(model, other) -> bool:
@@ -42,16 +51,63 @@ def kill_after(last: int):
     return after_epoch
 
 
-@pytest.mark.parametrize("last", [0, 2])
-def test_a_training_that_is_killed_and_resumed_is_one_that_never_stopped(tmp_path, last):
-    uninterrupted = train_gruvae(RECIPE, PAIRS, seed=3)
+@pytest.mark.parametrize(("last", "more"), [(0, {}), (2, {}), *((1, more) for more in MORE)])
+def test_a_training_that_is_killed_and_resumed_is_one_that_never_stopped(tmp_path, last, more):
+    recipe, context = replace(RECIPE, **more), dict(regularizer=REGULARIZER)
+    uninterrupted = train_gruvae(recipe, BOTH, seed=3, **context)
     path = tmp_path / "deep" / "model.ckpt"
     with pytest.raises(Killed):
-        train_gruvae(RECIPE, PAIRS, 3, path, kill_after(last))
+        train_gruvae(recipe, BOTH, 3, path, kill_after(last), **context)
     seen = []
-    resumed = train_gruvae(RECIPE, PAIRS, 3, path, lambda epoch, model: seen.append(epoch))
+    resumed = train_gruvae(recipe, BOTH, 3, path, lambda epoch, model: seen.append(epoch), **context)
     assert seen == list(range(last + 1, RECIPE.epochs))
     assert same(resumed, uninterrupted)
+
+
+@pytest.mark.parametrize("more", MORE)
+def test_what_is_switched_off_changes_no_weight(more):
+    """With lambda 0 no regularizer is called, and with sequences attacked throughout none is mixed."""
+    plain = train_gruvae(RECIPE, BOTH, 0)
+    assert same(train_gruvae(RECIPE, BOTH, 0, regularizer=REGULARIZER), plain)
+    assert not same(train_gruvae(replace(RECIPE, **more), BOTH, 0, regularizer=REGULARIZER), plain)
+
+
+def test_a_checkpoint_from_before_a_hyperparameter_existed_had_its_default(tmp_path):
+    path = tmp_path / "model.ckpt"
+    with pytest.raises(Killed):
+        train_gruvae(RECIPE, PAIRS, 0, path, kill_after(1))
+    saved = torch.load(path, weights_only=True)
+    known = json.loads(saved["identity"])
+    for name in ("lam", "least_share", "least_size", "regularizer"):
+        del known[name]
+    torch.save(saved | dict(identity=json.dumps(known)), path)
+    with pytest.raises(ValueError, match="another recipe"):
+        train_gruvae(replace(RECIPE, least_size=0.5), PAIRS, 0, path)
+    assert same(train_gruvae(RECIPE, PAIRS, 0, path), train_gruvae(RECIPE, PAIRS, 0))
+
+
+def test_a_checkpoint_of_another_regularizer_is_refused(tmp_path):
+    path, recipe = tmp_path / "model.ckpt", replace(RECIPE, lam=0.1, epochs=1)
+    first = train_gruvae(recipe, PAIRS, 0, path, regularizer=REGULARIZER)
+    with pytest.raises(ValueError, match="another recipe"):
+        train_gruvae(recipe, PAIRS, 0, path, regularizer=replace(REGULARIZER, steps=5))
+    assert same(train_gruvae(recipe, PAIRS, 0, path, regularizer=replace(REGULARIZER)), first)
+
+
+def test_training_leaves_the_victim_as_it_is():
+    victim = REGULARIZER.victim
+    before = {name: tensor.clone() for name, tensor in victim.state_dict().items()}
+    train_gruvae(replace(RECIPE, lam=0.5, epochs=1), BOTH, 0, regularizer=REGULARIZER)
+    assert all(torch.equal(tensor, before[name]) for name, tensor in victim.state_dict().items())
+    assert all(parameter.grad is None for parameter in victim.parameters())
+
+
+def test_a_weight_without_a_regularizer_and_one_below_zero_are_refused():
+    with pytest.raises(ValueError, match="regularizer: .*lam = 0.5"):
+        train_gruvae(replace(RECIPE, lam=0.5), PAIRS, 0)
+    for lam in (-0.1, float("nan")):
+        with pytest.raises(ValueError, match="lam must be at least 0"):
+            replace(RECIPE, lam=lam)
 
 
 def test_a_finished_training_is_not_repeated(tmp_path):

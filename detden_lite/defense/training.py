@@ -12,8 +12,9 @@ import torch
 from tqdm import tqdm
 
 from detden_lite.artifacts import replace_file
-from detden_lite.defense.augmentation import Trajectories
+from detden_lite.defense.augmentation import Trajectories, intermittent
 from detden_lite.defense.gruvae import GRUVAE, kl_divergence, reconstruction_loss
+from detden_lite.defense.regularizer import Regularizer
 from detden_lite.draws import derived_seed
 
 
@@ -21,7 +22,14 @@ from detden_lite.draws import derived_seed
 class VAERecipe:
     """How a GRU-VAE is trained. ``beta`` weighs the KL term: it is the variance of p(o | z, h) in z-scored units.
 
-    The learning rate falls along half a cosine to zero at the last epoch; the paper says nothing of a schedule.
+    What is minimised is beta (-L_den) + ``lam`` R, with R of ``detden_lite.defense.regularizer``; 0 leaves R out. The
+    learning rate falls along half a cosine to zero at the last epoch; the paper says nothing of a schedule.
+
+    ``least_share`` and ``least_size`` below 1 make attacked inputs intermittent and smaller, anew at every epoch: see
+    ``detden_lite.defense.augmentation.intermittent``.
+
+    Raises:
+        ValueError: if ``lam`` is negative: R would be made large.
     """
 
     hidden: int = 64
@@ -34,6 +42,13 @@ class VAERecipe:
     batch: int = 128
     chunk: int = 100  # steps of truncated backpropagation; the memory runs on from chunk to chunk
     learning_rate: float = 1e-3
+    lam: float = 0.0
+    least_share: float = 1.0
+    least_size: float = 1.0
+
+    def __post_init__(self):
+        if not self.lam >= 0:
+            raise ValueError(f"lam must be at least 0, not {self.lam}")
 
 
 def train_gruvae(
@@ -43,6 +58,7 @@ def train_gruvae(
     checkpoint: Path | None = None,
     after_epoch: Callable[[int, GRUVAE], None] | None = None,
     label: str = "GRU-VAE",
+    regularizer: Regularizer | None = None,
 ) -> GRUVAE:
     """Maximise the ELBO of L_det or L_den (section 3.1) over all pairs of (input, target) trajectories.
 
@@ -50,25 +66,28 @@ def train_gruvae(
 
     Args:
         recipe: the hyperparameters.
-        pairs: ``[(normal, normal)]`` for a detector; ``[(normal, normal), (adversarial, normal)]`` for a denoiser.
+        pairs: ``[(normal, normal)]`` for a detector; for a denoiser an ``(adversarial, normal)`` of each attack too.
         seed: of initialisation, order and latent samples.
         checkpoint: file to write after every epoch and to resume from; None for neither.
         after_epoch: called with (epoch, model).
         label: text of the progress bar.
+        regularizer: R, for a recipe with ``lam`` above 0.
 
     Returns:
         The trained model, frozen.
 
     Raises:
-        ValueError: if the checkpoint is of another recipe or seed.
+        ValueError: if the checkpoint is of another recipe or seed, or ``lam`` is above 0 and there is no regularizer.
     """
+    if recipe.lam and regularizer is None:
+        raise ValueError(f"regularizer: the recipe weighs it with lam = {recipe.lam}, so give one")
     torch.manual_seed(seed)
     target = pairs[0][1]
     model = GRUVAE(target.obs.shape[-1], recipe.hidden, recipe.layers, recipe.latent, recipe.residual)
     seen = torch.from_numpy(target.obs[target.mask])
     model.set_statistics(seen.mean(0), seen.std(0))
     optimizer = torch.optim.Adam(model.parameters(), lr=recipe.learning_rate)
-    identity = json.dumps(dict(asdict(recipe), seed=seed))
+    identity = dict(asdict(recipe), seed=seed, regularizer=regularizer.settings if recipe.lam else None)
     first = _resume(checkpoint, identity, model, optimizer) if checkpoint else 0
 
     # One index over all pairs: the i-th sequence of the p-th pair.
@@ -80,7 +99,7 @@ def train_gruvae(
             optimizer.param_groups[0]["lr"] = recipe.learning_rate * falling
             order = torch.randperm(len(index)).numpy()
             losses = [
-                _train_on(model, optimizer, recipe, pairs, index[order[i : i + recipe.batch]])
+                _train_on(model, optimizer, recipe, pairs, index[order[i : i + recipe.batch]], regularizer)
                 for i in range(0, len(order), recipe.batch)
             ]
             bar.set_postfix(loss=f"{np.mean(losses):.4f}")
@@ -91,11 +110,15 @@ def train_gruvae(
     return model.requires_grad_(False).eval()
 
 
-def _train_on(model: GRUVAE, optimizer, recipe: VAERecipe, pairs, batch: np.ndarray) -> float:
-    def gather(side: int) -> torch.Tensor:
-        return torch.from_numpy(np.stack([pairs[p][side].obs[i] for p, i in batch]))
+def _train_on(model: GRUVAE, optimizer, recipe: VAERecipe, pairs, batch: np.ndarray, regularizer) -> float:
+    def gather(side: int) -> np.ndarray:
+        return np.stack([pairs[p][side].obs[i] for p, i in batch])
 
     inputs, targets = gather(0), gather(1)
+    if (recipe.least_share, recipe.least_size) != (1, 1):
+        seed = int(torch.randint(2**31, ()))
+        inputs = intermittent(targets, inputs, recipe.least_share, recipe.least_size, seed)
+    inputs, targets = torch.from_numpy(inputs), torch.from_numpy(targets)
     mask = torch.from_numpy(np.stack([np.arange(inputs.shape[1]) < pairs[p][1].lengths[i] for p, i in batch]))
     state, total = None, 0.0
     starts = range(0, int(mask.sum(1).max()), recipe.chunk)
@@ -103,10 +126,12 @@ def _train_on(model: GRUVAE, optimizer, recipe: VAERecipe, pairs, batch: np.ndar
         part = slice(start, start + recipe.chunk)
         noise = torch.randn(*inputs[:, part].shape[:2], recipe.latent)
         result = model(inputs[:, part], noise, state)
-        state = tuple(s.detach() for s in result.state)
         loss = reconstruction_loss(model, result.output, targets[:, part])
         loss = loss + recipe.beta * kl_divergence(result.mean, result.log_variance, recipe.prior)
         loss = (loss * mask[:, part]).sum() / mask[:, part].sum()
+        if recipe.lam:  # with the memory of what the denoiser has seen up to here, attacked or not
+            loss = loss + recipe.lam * regularizer(model, targets[:, part], mask[:, part], noise, state)
+        state = tuple(s.detach() for s in result.state)
         optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
@@ -115,19 +140,23 @@ def _train_on(model: GRUVAE, optimizer, recipe: VAERecipe, pairs, batch: np.ndar
     return total / len(starts)
 
 
-def _save(path: Path, identity: str, epochs: int, model: GRUVAE, optimizer) -> None:
+def _save(path: Path, identity: dict, epochs: int, model: GRUVAE, optimizer) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    content = dict(identity=identity, epochs=epochs, model=model.state_dict(), optimizer=optimizer.state_dict())
+    content = dict(
+        identity=json.dumps(identity), epochs=epochs, model=model.state_dict(), optimizer=optimizer.state_dict()
+    )
     file = io.BytesIO()
     torch.save(content, file)
     replace_file(path, file.getvalue())
 
 
-def _resume(path: Path, identity: str, model: GRUVAE, optimizer) -> int:
+def _resume(path: Path, identity: dict, model: GRUVAE, optimizer) -> int:
     if not path.exists():
         return 0
     saved = torch.load(path, weights_only=True)
-    if saved["identity"] != identity:
+    # What a checkpoint does not mention did not exist when it was written, and was what is now the default.
+    known = dict(asdict(VAERecipe()), regularizer=None) | json.loads(saved["identity"])
+    if known != json.loads(json.dumps(identity)):
         raise ValueError(f"{path} is a checkpoint of another recipe ({saved['identity']}); remove it or take another")
     model.load_state_dict(saved["model"])
     optimizer.load_state_dict(saved["optimizer"])
