@@ -1,11 +1,14 @@
 import numpy as np
 import pytest
 import torch
-from builders import make_gruvae, normal
+from builders import make_gruvae, normal, steady
+from hypothesis import given
+from hypothesis import strategies as st
 
 from detden_lite.defense import Detector
 from detden_lite.defense.augmentation import Trajectories
-from detden_lite.defense.detector import calibrate, clean_scores, linf_score
+from detden_lite.defense.detector import calibrate, clean_scores, conformal_threshold, linf_score, tuned_threshold
+from detden_lite.metrics import detector_scores
 
 
 def scores(detector, obs, episodes):
@@ -75,11 +78,100 @@ def test_at_most_the_wanted_fraction_of_clean_scores_is_above_the_threshold(rate
 
 @pytest.mark.parametrize("rate", [0, 1, -0.1, float("nan")])
 def test_a_rate_that_is_none_is_refused(rate):
-    with pytest.raises(ValueError, match="false_alarm_rate"):
-        calibrate(np.ones(3), rate)
+    for threshold in (calibrate, lambda scores, rate: conformal_threshold([scores], rate)):
+        with pytest.raises(ValueError, match="false_alarm_rate"):
+            threshold(np.ones(3), rate)
 
 
 @pytest.mark.parametrize("values", [[], [1.0, np.nan], [np.inf]])
 def test_scores_that_are_none_are_refused(values):
     with pytest.raises(ValueError, match="clean_scores"):
         calibrate(np.array(values))
+
+
+@pytest.mark.parametrize("rate", [0.01, 0.1, 0.5])
+@pytest.mark.parametrize("n", [99, 100, 1_003])
+def test_with_one_score_an_episode_it_is_the_split_conformal_quantile(rate, n):
+    scores = np.random.default_rng(n).exponential(size=n)
+    expected = np.sort(scores)[int(np.ceil((n + 1) * (1 - rate) - 1e-9)) - 1]
+    assert conformal_threshold(scores[:, None], rate) == expected
+    assert conformal_threshold(scores[:, None], rate) >= calibrate(scores, rate)
+
+
+def test_the_conformal_threshold_keeps_its_promise_where_the_plain_quantile_does_not():
+    """Steps of an episode share most of their score, and there are eleven episodes to calibrate on and a new one."""
+    rng, rate = np.random.default_rng(0), 0.1
+    conformal, plain = [], []
+    for _ in range(2_000):
+        lengths = rng.integers(1, 30, 12)
+        *episodes, new = (rng.normal() + 0.3 * rng.normal(size=length) for length in lengths)
+        conformal.append((new > conformal_threshold(episodes, rate)).mean())
+        plain.append((new > calibrate(np.concatenate(episodes), rate)).mean())
+    uncertainty = 2 * np.std(conformal) / np.sqrt(len(conformal))
+    assert 0.5 * rate < np.mean(conformal) < rate + uncertainty
+    assert np.mean(plain) > rate + uncertainty
+
+
+@pytest.mark.parametrize(("n", "promised"), [(8, False), (9, True)])
+def test_too_few_episodes_promise_nothing_however_long_they_are(n, promised):
+    episodes = [np.arange(1_000.0)] * n
+    assert np.isfinite(conformal_threshold(episodes, 0.1)) == promised
+
+
+def test_every_episode_weighs_the_same_however_long_it_is():
+    high, low = np.full(1_000, 2.0), [np.zeros(1)] * 18
+    assert conformal_threshold([high, *low], 0.1) == 0 and conformal_threshold([high, high, *low], 0.1) == 2
+
+
+@pytest.mark.parametrize("episodes", [[], [np.ones(2), np.array([])], [np.array([np.nan])]])
+def test_episodes_without_scores_are_refused(episodes):
+    with pytest.raises(ValueError, match="episodes must be"):
+        conformal_threshold(episodes)
+
+
+def test_a_planted_threshold_is_found():
+    rng = np.random.default_rng(0)
+    clean, attacked = rng.uniform(0, 1, 900), rng.uniform(1.4, 2, 100)
+    found = tuned_threshold(np.append(clean, attacked), np.arange(1_000) >= 900)
+    assert found == pytest.approx((clean.max() + attacked.min()) / 2)
+
+
+@steady
+@given(
+    st.lists(st.tuples(st.integers(0, 12), st.booleans()), min_size=2, max_size=60),
+    st.sampled_from([0.0, 0.1, 0.5]),
+)
+def test_no_threshold_with_so_few_misses_has_a_better_f1(steps, misses):
+    scores, attacked = np.array([score for score, _ in steps], np.float32), np.array([flag for _, flag in steps])
+    if attacked.all() or not attacked.any():
+        return
+
+    def judge(threshold: float):
+        return detector_scores(attacked, scores > threshold)
+
+    found = judge(tuned_threshold(scores, attacked, misses))
+    assert found.false_negative_rate <= misses + 1e-9
+    allowed = [judge(t) for t in (-np.inf, *scores) if judge(t).false_negative_rate <= misses + 1e-9]
+    assert found.f1 == pytest.approx(max(other.f1 for other in allowed))
+
+
+def test_fewer_misses_cost_f1():
+    """One attack hides among the clean steps: to catch it, all of those must raise the alarm."""
+    scores, attacked = np.append(np.linspace(0, 1, 100), [2.0] * 9 + [-1.0]), np.arange(110) >= 100
+    assert 1 < tuned_threshold(scores, attacked, misses=0.1) < 2
+    assert tuned_threshold(scores, attacked, misses=0.05) == -np.inf
+
+
+@pytest.mark.parametrize(
+    ("scores", "attacked", "misses", "message"),
+    [
+        ([1.0, 2.0], [True], 0.01, "one shape"),
+        ([1.0, np.nan], [True, False], 0.01, "finite"),
+        ([1.0, 2.0], [True, True], 0.01, "clean steps and attacked"),
+        ([1.0, 2.0], [False, False], 0.01, "clean steps and attacked"),
+        ([1.0, 2.0], [False, True], 1.0, "misses"),
+    ],
+)
+def test_what_cannot_be_tuned_on_is_refused(scores, attacked, misses, message):
+    with pytest.raises(ValueError, match=message):
+        tuned_threshold(np.array(scores), np.array(attacked), misses)
