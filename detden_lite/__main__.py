@@ -40,7 +40,7 @@ def parser() -> argparse.ArgumentParser:
     add("qfunction", stages.learn_q, "learn the Q-function that a PPO victim lacks")
     for name, function, text in (
         ("collect", stages.collect, "collect D_normal, and held-out episodes for calibration"),
-        ("augment", stages.augment, "make D_adv from D_normal, offline"),
+        ("augment", stages.augment, "make D_adv from D_normal, offline, with both attacks"),
         ("detector", stages.train_detector, "train the detector and calibrate its threshold"),
     ):
         add(name, function, text).add_argument(

@@ -1,14 +1,15 @@
 """The folder of a run: which victim at which scale, and the trajectories that lie in it, in files of a batch each."""
 
 import shutil
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 
 from detden_lite import artifacts
-from detden_lite.attacks import OppositeAttack
+from detden_lite.attacks import OppositeAttack, QFunctionAttack
 from detden_lite.budget import Budget
 from detden_lite.defense import DetectAndDenoise
 from detden_lite.defense.augmentation import Trajectories
@@ -22,17 +23,28 @@ SHARD = 128  # trajectories of one file: what a killed run loses at most
 
 @dataclass(frozen=True)
 class Variant:
-    """A defence as it is trained: the exploration in its D_normal, and whether its denoiser is residual."""
+    """A defence as it is trained.
+
+    Args:
+        data: the exploration in its D_normal, a key of ``DATASETS``.
+        adversarial: the parts of D_adv that its denoiser is trained on, keys of ``ADVERSARIAL``.
+        recipe: what its denoiser changes in the scale's ``VAERecipe``.
+    """
 
     data: str
-    residual: bool
+    adversarial: tuple[str, ...] = ("adversarial",)
+    recipe: Mapping[str, object] = field(default_factory=dict)
 
 
 DATASETS = {"plain": (0.0,), "diverse": (0.0, 0.1, 0.2, 0.3)}
+ADVERSARIAL = {"adversarial": OppositeAttack, "qfunction": QFunctionAttack}  # which attack made what, offline
 VARIANTS = {
-    "printed": Variant("plain", residual=False),
-    "diverse": Variant("diverse", residual=False),
-    "residual": Variant("diverse", residual=True),
+    "printed": Variant("plain"),
+    "diverse": Variant("diverse"),
+    "residual": Variant("diverse", recipe=dict(residual=True)),
+    "both": Variant("diverse", tuple(ADVERSARIAL), dict(residual=True)),
+    "mixed": Variant("diverse", tuple(ADVERSARIAL), dict(residual=True, least_share=0.2, least_size=0.5)),
+    "regularized": Variant("diverse", tuple(ADVERSARIAL), dict(residual=True, lam=0.1)),
 }
 
 
@@ -98,10 +110,10 @@ class Run:
 
 
 def load_trajectories(run: Run, folder: str) -> Trajectories:
-    """All shards of a folder of trajectories: "normal-DATA", "adversarial-DATA" or "calibration"."""
+    """All shards of a folder of trajectories: "normal-DATA", "calibration", or "PART-DATA" with a part of D_adv."""
     paths = sorted((run.folder / folder).glob("*.safetensors"))
     if not paths:
-        stage = "augment" if folder.startswith("adversarial") else "collect"
+        stage = "augment" if folder.startswith(tuple(ADVERSARIAL)) else "collect"
         raise ValueError(f"{run.folder / folder} is empty; run the {stage} stage first")
     shards = [load_shard(run, path) for path in paths]
     return Trajectories(np.concatenate([s.obs for s in shards]), np.concatenate([s.lengths for s in shards]))

@@ -7,10 +7,11 @@ import numpy as np
 
 from detden_lite import artifacts, metrics, qfunction, selection, study, victim_training
 from detden_lite.defense import Detector, augmentation
-from detden_lite.defense.detector import calibrate, clean_scores
+from detden_lite.defense.detector import calibrate, clean_scores, conformal_threshold
+from detden_lite.defense.regularizer import Regularizer
 from detden_lite.defense.training import train_gruvae
 from detden_lite.rollout import rollout
-from detden_lite.runs import DATASETS, VARIANTS, Run, load_shard, load_trajectories, save_shard, shards
+from detden_lite.runs import ADVERSARIAL, DATASETS, VARIANTS, Run, load_shard, load_trajectories, save_shard, shards
 from detden_lite.victims import Victim
 
 
@@ -86,13 +87,14 @@ def collect(run: Run, data: str) -> None:
 
 
 def augment(run: Run, data: str) -> None:
-    """D_adv: the opposite attack on every observation of D_normal."""
+    """D_adv: every observation of D_normal under the opposite attack and under the Q-function attack, a folder each."""
     victim = run.victim()
-    for index, (path, _) in enumerate(shards(run, f"normal-{data}", run.scale.trajectories)):
-        target = path.parent.with_name(f"adversarial-{data}") / path.name
-        if not artifacts.is_made(target, run.root):
-            attacked = augmentation.augment(load_shard(run, path), run.opposite(victim), seed=index)
-            save_shard(run, target, attacked)
+    for part, attack in ADVERSARIAL.items():
+        for index, (path, _) in enumerate(shards(run, f"normal-{data}", run.scale.trajectories)):
+            target = path.parent.with_name(f"{part}-{data}") / path.name
+            if not artifacts.is_made(target, run.root):
+                offline = attack(victim, run.budget, steps=run.scale.attack_steps)
+                save_shard(run, target, augmentation.augment(load_shard(run, path), offline, seed=index))
 
 
 def train_detector(run: Run, data: str, seed: int = 0) -> None:
@@ -102,25 +104,31 @@ def train_detector(run: Run, data: str, seed: int = 0) -> None:
         run.scale.defense, [(normal, normal)], seed, run.folder / "checkpoints" / f"detector-{data}.ckpt",
         label=f"detector on {data} data",
     )  # fmt: skip
-    scores = clean_scores(Detector(model, np.inf), load_trajectories(run, "calibration"))
+    calibration = load_trajectories(run, "calibration")
+    scores = clean_scores(Detector(model, np.inf), calibration)
+    conformal = conformal_threshold(np.split(scores, calibration.lengths.cumsum()[:-1]))
     sidecar = dict(
         data=data, recipe=asdict(run.scale.defense), seed=seed, trajectories=len(normal),
-        threshold=calibrate(scores), calibration_quantiles=_quantiles(scores),
+        threshold=calibrate(scores), conformal_threshold=conformal if np.isfinite(conformal) else None,
+        calibration_quantiles=_quantiles(scores),
     )  # fmt: skip
     artifacts.save_model(run.task.name, run.algo, f"detector-{data}", model, sidecar, run.root)
 
 
 def train_denoiser(run: Run, variant: str, seed: int = 0) -> None:
-    """Train a variant's denoiser on D_normal and D_adv."""
-    data = VARIANTS[variant].data
-    normal = load_trajectories(run, f"normal-{data}")
-    adversarial = load_trajectories(run, f"adversarial-{data}")
-    recipe = replace(run.scale.defense, residual=VARIANTS[variant].residual)
+    """Train a variant's denoiser on D_normal and its parts of D_adv."""
+    chosen = VARIANTS[variant]
+    normal, *adversarial = (load_trajectories(run, f"{part}-{chosen.data}") for part in ("normal", *chosen.adversarial))
+    recipe = replace(run.scale.defense, **chosen.recipe)
+    regularizer = Regularizer(run.victim(), run.budget) if recipe.lam else None
     model = train_gruvae(
-        recipe, [(normal, normal), (adversarial, normal)], seed,
-        run.folder / "checkpoints" / f"denoiser-{variant}.ckpt", label=f"{variant} denoiser",
+        recipe, [(normal, normal), *((attacked, normal) for attacked in adversarial)], seed,
+        run.folder / "checkpoints" / f"denoiser-{variant}.ckpt", label=f"{variant} denoiser", regularizer=regularizer,
     )  # fmt: skip
-    sidecar = dict(data=data, recipe=asdict(recipe), seed=seed, trajectories=len(normal))
+    sidecar = dict(
+        data=chosen.data, adversarial=chosen.adversarial, recipe=asdict(recipe), seed=seed, trajectories=len(normal),
+        regularizer=regularizer and regularizer.settings,
+    )  # fmt: skip
     artifacts.save_model(run.task.name, run.algo, f"denoiser-{variant}", model, sidecar, run.root)
 
 

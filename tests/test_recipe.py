@@ -23,7 +23,7 @@ from detden_lite.tasks import TASKS
 DATA = ROOT / "data"
 ROWS = [f"{task}-{algo}" for algo in ALGORITHMS for task in TASKS]
 JOBS = dict(
-    victim=12, select=10, qfunction=5, trajectories=11, augmentation=11, detector=11, denoiser=12, timing=10,
+    victim=12, select=10, qfunction=5, trajectories=11, augmentation=11, detector=11, timing=10,
     choose=10, linear=10, attacks=10, evaluation=10, table=1, look=10, portrait=10,
     epsilon=1, planning=1, gallery=1, all=1,
 )  # fmt: skip
@@ -57,6 +57,13 @@ def refuse(folder: Path, *arguments) -> str:
     return done.stdout + done.stderr
 
 
+def jobs(scale: str) -> dict[str, int]:
+    """How many jobs of each rule a scale plans for all ten rows."""
+    config = yaml.safe_load((DATA / "config" / f"{scale}.yaml").read_text())
+    variants = [config["variants"].get(row, config["variants"]["default"]) for row in ROWS]
+    return JOBS | dict(denoiser=sum(map(len, variants)), adversary=len(ROWS) * config["adversaries"])
+
+
 def planned(printed: str) -> dict[str, int]:
     """How many jobs of each rule a dry run would run."""
     table = printed.split("Job stats:")[1].split("total")[0]
@@ -69,7 +76,7 @@ def test_every_scale_plans_the_whole_graph_for_all_ten_rows(tmp_path, scale):
     assert config["scale"] == scale and config["rows"] == ROWS
     printed = run(tmp_path, "--dry-run", "--printshellcmds", scale=scale)
     members = [len(get_scale(scale, TASKS[row.split("-")[0]], row.split("-")[1]).adversaries) for row in ROWS]
-    assert planned(printed) == JOBS | dict(adversary=sum(members))
+    assert planned(printed) == jobs(scale) and sum(members) == jobs(scale)["adversary"]
     assert set(re.findall(r"--member (\d+)", printed)) == {str(member) for member in range(max(members))}
     assert set(re.findall(r"--scale (\w+)", printed)) == {scale}
     named = re.findall(r"detden_lite victim --task (\w+) --algo (\w+) .*--seed (\d)", printed)
@@ -85,9 +92,9 @@ def test_every_scale_plans_the_whole_graph_for_all_ten_rows(tmp_path, scale):
 )
 def test_a_cluster_gets_the_same_jobs_with_what_each_needs(tmp_path, settings):
     printed = run(tmp_path, "--dry-run", "--printshellcmds", "--executor", "dryrun", *settings, scale="lite")
-    assert planned(printed) == JOBS | dict(adversary=40)
+    assert planned(printed) == jobs("lite")
     resources = re.findall(r"^(?:local)?rule (\w+):(?:\n    .*)*?\n    resources: (.*)", printed, re.M)
-    assert {rule for rule, _ in resources} >= set(JOBS) | {"adversary"} - {"all"}
+    assert {rule for rule, _ in resources} >= set(jobs("lite")) - {"all"}
     for rule, asked in resources:
         assert rule == "all" or ("mem_mb=" in asked and "runtime=" in asked), rule
         assert ("slurm_account=my_account" in asked) == ("--profile" in settings)
@@ -103,7 +110,7 @@ def test_a_profile_is_for_the_executor_of_its_name(profile):
 def test_a_row_may_be_asked_for_alone_and_without_films(tmp_path):
     rows = planned(run(tmp_path, "--dry-run", "--config", "only=hopper-td3 ant-ppo", "films=false"))
     assert rows == dict(
-        victim=4, select=2, qfunction=1, trajectories=3, augmentation=3, detector=3, denoiser=4, timing=2,
+        victim=4, select=2, qfunction=1, trajectories=3, augmentation=3, detector=3, denoiser=7, timing=2,
         adversary=4, choose=2, linear=2, attacks=2, evaluation=2, table=1, epsilon=1,
         planning=1, all=1,
     )  # fmt: skip
@@ -136,7 +143,7 @@ def test_make_refuses_an_unknown_scale(tmp_path):
 
 def test_the_graph_for_the_book_is_that_of_the_stages():
     graph = rule_graph()
-    assert set(graph) == set(JOBS) | {"adversary"}
+    assert set(graph) == set(jobs("tiny"))
     assert set(durations.STAGES) == set(graph) - {"table", "all"}
     assert {("victim", "select"), ("select", "qfunction"), ("qfunction", "trajectories")} <= set(graph.edges)
     assert {("adversary", "choose"), ("choose", "attacks"), ("linear", "attacks"), ("attacks", "table")} <= set(
@@ -226,5 +233,5 @@ def test_the_files_may_lie_on_a_volume_that_snakemake_does_not_see(tmp_path):
 def test_what_each_variant_is_trained_on_is_what_the_library_says(tmp_path):
     printed = run(tmp_path, "--dry-run", "--printshellcmds", "--config", "only=hopper-td3")
     for name, variant in VARIANTS.items():
-        (needed,) = re.findall(rf"input: (\S+)\n    output: hopper-td3/denoiser-{name}\.safetensors", printed)
-        assert needed == f"hopper-td3/adversarial-{variant.data}/done"
+        (needed,) = re.findall(rf"input: (.+)\n    output: hopper-td3/denoiser-{name}\.safetensors", printed)
+        assert needed.split(", ") == [f"hopper-td3/{part}-{variant.data}/done" for part in variant.adversarial]

@@ -156,18 +156,54 @@ def test_the_victim_is_chosen_by_screening_and_then_by_selection(copy):
     assert curves[1]["mean"] == pytest.approx([screening[path] for path in snapshots if "victim-1" in str(path)])
 
 
-def test_trajectories_are_attacked_within_the_ball(tiny):
-    run = the_run(tiny)
-    normal, adversarial = (stages.load_trajectories(run, f"{kind}-diverse") for kind in ("normal", "adversarial"))
-    assert len(normal) == len(adversarial) == 8 and len(stages.load_trajectories(run, "calibration")) == 4
-    difference = np.abs(adversarial.obs - normal.obs)[normal.mask]
-    assert 0 < difference.max() <= Budget(0.075).epsilon + 1e-5
+@pytest.fixture(scope="module", params=["td3", "ppo"])
+def attacked(request, tmp_path_factory) -> runs.Run:
+    """The trajectories of an untrained victim, clean and attacked."""
+    run = runs.Run.of(tmp_path_factory.mktemp("attacked"), "hopper", request.param, "tiny")
+    critic, value = [14, 16, 1], [11, 16, 1]
+    torch.manual_seed(0)
+    victim = Victim([11, 16, 3], critic, value, gaussian=True) if run.algo == "ppo" else Victim([11, 16, 3], critic)
+    artifacts.save_victim("hopper", run.algo, victim, {}, run.root)
+    stages.collect(run, "diverse")
+    stages.augment(run, "diverse")
+    return run
+
+
+def test_trajectories_are_attacked_within_the_ball(attacked):
+    parts = ("normal", *runs.ADVERSARIAL)
+    normal, opposite, qfunction = (stages.load_trajectories(attacked, f"{part}-diverse") for part in parts)
+    assert len(normal) == 8 and len(stages.load_trajectories(attacked, "calibration")) == 4
+    for adversarial in (opposite, qfunction):
+        assert np.array_equal(adversarial.lengths, normal.lengths)
+        difference = np.abs(adversarial.obs - normal.obs)[normal.mask]
+        assert 0 < difference.max() <= Budget(0.075).epsilon + 1e-5
+    victim, true = attacked.victim(), torch.from_numpy(normal.obs[normal.mask])
+    moved, worse = (victim(torch.from_numpy(part.obs[normal.mask])) for part in (opposite, qfunction))
+    assert (moved - victim(true)).square().sum() > (worse - victim(true)).square().sum()
+    assert victim.qs(true, worse).mean() < victim.qs(true, moved).mean()
+
+
+def test_every_variant_that_learns_from_both_attacks_is_trained(attacked):
+    before, weights = contents(attacked.root), {}
+    for name in ("residual", "both", "mixed", "regularized"):
+        stages.train_denoiser(attacked, name)
+        model, card = artifacts.load_model("hopper", attacked.algo, f"denoiser-{name}", attacked.root)
+        assert card["adversarial"] == (["adversarial"] if name == "residual" else ["adversarial", "qfunction"])
+        assert card["recipe"].items() >= runs.VARIANTS[name].recipe.items() and model.config["residual"]
+        assert (card["regularizer"] or {}).get("epsilon") == (HOPPER.epsilon if name == "regularized" else None)
+        weights[name] = model.to_output.weight
+    assert not any(torch.equal(weights[name], weights["both"]) for name in weights if name != "both")
+    after = contents(attacked.root)
+    assert {name: after[name] for name in before if name != "manifest.json"} == {
+        name: content for name, content in before.items() if name != "manifest.json"
+    }
 
 
 def test_the_threshold_is_calibrated_on_held_out_episodes(tiny):
     model, card = artifacts.load_model("hopper", "td3", "detector-diverse", tiny)
     scores = clean_scores(Detector(model, np.inf), stages.load_trajectories(the_run(tiny), "calibration"))
     assert card["threshold"] == pytest.approx(calibrate(scores))
+    assert card["conformal_threshold"] is None  # four episodes cannot promise one false alarm in a hundred steps
     assert card["calibration_quantiles"]["0.5"] == pytest.approx(np.median(scores))
 
 
@@ -175,7 +211,7 @@ def test_what_is_lost_or_harmed_is_made_anew_and_the_same(tiny, copy):
     shard = "hopper-td3/normal-diverse/00000"
     harms = {
         "collect": [f"{shard}.json", "hopper-td3/calibration/00000.safetensors"],
-        "augment": ["hopper-td3/adversarial-diverse/00000.json"],
+        "augment": ["hopper-td3/adversarial-diverse/00000.json", "hopper-td3/qfunction-diverse/00000.safetensors"],
         "detector": ["hopper-td3/detector-diverse.safetensors"],
         "denoiser": ["hopper-td3/denoiser-residual.json"],
         "timing": ["hopper-td3/timing.json"],
@@ -215,6 +251,11 @@ def test_without_a_snapshot_there_is_nothing_to_select(copy):
         ("augment", ["victim.*"], "normal-diverse.*00000.safetensors is missing"),
         ("detector", ["victim.*"], "normal-diverse is empty; run the collect stage first"),
         ("denoiser", ["victim.*", "normal-diverse"], "adversarial-diverse is empty; run the augment stage first"),
+        (
+            "denoiser --variant both",
+            ["victim.*", "normal-diverse", "adversarial-diverse"],
+            "qfunction-diverse is empty; run the augment stage first",
+        ),
         ("timing", [], "victim.safetensors is missing"),
         ("adversary", [], "victim.safetensors is missing"),
         ("choose", ["victim.*"], "no snapshot of an adversary; run the adversary stage first"),
@@ -232,7 +273,7 @@ def test_a_stage_out_of_order_says_what_is_missing(tiny, tmp_path, stage, made, 
             target.parent.mkdir(exist_ok=True)
             (shutil.copytree if path.is_dir() else shutil.copy)(path, target)
     with pytest.raises(SystemExit, match=f"error: .*{message}"):
-        run_stage(tmp_path, stage)
+        run_stage(tmp_path, *stage.split())
 
 
 INTERRUPTED = """
