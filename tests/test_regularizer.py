@@ -119,6 +119,7 @@ def test_padding_does_not_count():
         torch.manual_seed(0)
         values.append(regularizer(model, given_obs, mask).item())
     assert values[0] == pytest.approx(values[1], rel=1e-5)
+    assert regularizer(model, obs, torch.zeros(3, 6)).item() == 0  # of nothing but padding
 
 
 def test_the_denoiser_goes_on_from_its_memory_with_the_same_noise():

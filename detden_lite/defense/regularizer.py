@@ -106,4 +106,5 @@ class Regularizer:
         """The mean of R over all observations but padding, which is to be small; see ``attack`` for the arguments."""
         reference = self.action(model, obs, noise, state) if self.reference == "denoised" else self.victim.mean(obs)
         perturbed = self.attack(model, obs, reference.detach(), mask, noise, state)
-        return (self.distance(self.action(model, perturbed, noise, state), reference) * mask).sum() / mask.sum()
+        distance = self.distance(self.action(model, perturbed, noise, state), reference)
+        return (distance * mask).sum() / mask.sum().clamp_min(1)

@@ -120,6 +120,7 @@ def _train_on(model: GRUVAE, optimizer, recipe: VAERecipe, pairs, batch: np.ndar
         inputs = intermittent(targets, inputs, recipe.least_share, recipe.least_size, seed)
     inputs, targets = torch.from_numpy(inputs), torch.from_numpy(targets)
     mask = torch.from_numpy(np.stack([np.arange(inputs.shape[1]) < pairs[p][1].lengths[i] for p, i in batch]))
+    some = slice(math.ceil(len(batch) / len(pairs)))  # R is taken of as many sequences an epoch as D_normal has
     state, total = None, 0.0
     starts = range(0, int(mask.sum(1).max()), recipe.chunk)
     for start in starts:
@@ -130,7 +131,9 @@ def _train_on(model: GRUVAE, optimizer, recipe: VAERecipe, pairs, batch: np.ndar
         loss = loss + recipe.beta * kl_divergence(result.mean, result.log_variance, recipe.prior)
         loss = (loss * mask[:, part]).sum() / mask[:, part].sum()
         if recipe.lam:  # with the memory of what the denoiser has seen up to here, attacked or not
-            loss = loss + recipe.lam * regularizer(model, targets[:, part], mask[:, part], noise, state)
+            memory = state and tuple(s[:, some].contiguous() for s in state)
+            r = regularizer(model, targets[some, part], mask[some, part], noise[some], memory)
+            loss = loss + recipe.lam * r
         state = tuple(s.detach() for s in result.state)
         optimizer.zero_grad()
         loss.backward()
