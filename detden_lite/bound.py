@@ -21,6 +21,7 @@ from detden_lite.ascent import ascend
 from detden_lite.budget import Budget
 from detden_lite.defense.gruvae import GRUVAE
 from detden_lite.draws import Draws
+from detden_lite.gradients import value_and_gradient
 from detden_lite.victims import Victim
 
 
@@ -111,8 +112,8 @@ def stretches(victim: Victim, obs: Tensor) -> Tensor:
     Returns:
         ``[N]``.
     """
-    jacobian = torch.func.vmap(torch.func.jacrev(lambda one: victim.mean(one[None])[0]))(obs)
-    return torch.linalg.matrix_norm(jacobian, ord=2)
+    rows = [value_and_gradient(lambda x, i=i: victim.mean(x)[:, i], obs)[1] for i in range(victim.action_dim)]
+    return torch.linalg.matrix_norm(torch.stack(rows, 1), ord=2)  # of the Jacobians, [N, action_dim, obs_dim]
 
 
 def alpha(gamma: float, reward_range: float) -> float:
