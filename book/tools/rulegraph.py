@@ -17,7 +17,7 @@ DATA = Path(__file__).resolve().parents[2] / "data"
 
 
 def rule_graph(scale: str = "lite") -> nx.DiGraph:
-    """The rules that lead to rule ``all``, an edge from each to every rule that needs its files."""
+    """The rules that lead to rule ``all``, an edge from each to the rules that wait for it next."""
     with tempfile.TemporaryDirectory() as folder:
         printed = subprocess.run(
             [
@@ -28,10 +28,8 @@ def rule_graph(scale: str = "lite") -> nx.DiGraph:
         ).stdout  # fmt: skip
     names = dict(re.findall(r'^\s*(\d+)\[label = "(\w+)"', printed, re.M))
     edges = re.findall(r"^\s*(\d+) -> (\d+)", printed, re.M)
-    graph = nx.DiGraph([(names[tail], names[head]) for tail, head in edges])
-    # "all" asks for every file by name; the rules that nothing else waits for say enough.
-    graph.remove_edges_from([(rule, "all") for rule in graph if set(graph[rule]) > {"all"}])
-    return graph
+    # Waiting is passed on: an edge that others imply says nothing new.
+    return nx.transitive_reduction(nx.DiGraph([(names[tail], names[head]) for tail, head in edges]))
 
 
 def draw(axes: Axes, graph: nx.DiGraph) -> None:
@@ -53,7 +51,8 @@ def draw(axes: Axes, graph: nx.DiGraph) -> None:
     for rule in graph:
         box = dict(boxstyle="round,pad=0.45", facecolor="white", edgecolor=figures.BLUE, linewidth=1.4)
         axes.text(*places[rule], rule, ha="center", va="center", bbox=box)
-    axes.set(xlim=(-2.3, 2.3), ylim=(-0.5, len(levels) - 0.5))
+    half = max(abs(x) for x, _ in places.values()) + 0.5
+    axes.set(xlim=(-half, half), ylim=(-0.5, len(levels) - 0.5))
     axes.axis("off")
 
 
@@ -64,6 +63,7 @@ def _places(levels: list[list], neighbours: nx.Graph) -> dict:
         for height, stops in enumerate(levels) if sweep % 2 == 0 else reversed(list(enumerate(levels))):
             middle = {stop: np.mean([places[n][0] for n in neighbours[stop] if n in places] or [0]) for stop in stops}
             stops.sort(key=lambda stop: (middle[stop], str(stop)))
-            for i, stop in enumerate(stops):
-                places[stop] = (i - (len(stops) - 1) / 2, height)
+            widths = np.array([1.0 if isinstance(stop, str) else 0.4 for stop in stops])  # a passing edge has no box
+            for stop, x in zip(stops, widths.cumsum() - widths / 2 - widths.sum() / 2, strict=True):
+                places[stop] = (float(x), height)
     return places
