@@ -89,6 +89,14 @@ def test_page_is_closed_and_without_errors(visited, path):
 def test_mathematics_is_typeset(page):
     assert page.locator(".math:not(:has(mjx-container))").count() == 0
     assert page.locator("mjx-merror").count() == 0
+    # A formula in what a cell prints is left as it is, unless the cell's markdown_format is myst.
+    without_code = """all => all.map(e => {
+        const copy = e.cloneNode(true);
+        copy.querySelectorAll("code, pre, script, .math").forEach(part => part.remove());
+        return copy.textContent;
+    })"""
+    prose = page.eval_on_selector_all("main p, main li, main td", without_code)
+    assert [text for text in prose if re.search(r"\$[^$]+\$", text)] == []
 
 
 def test_images_are_there_and_described(page):
