@@ -230,7 +230,7 @@ def tune_vulnerable(
             sweep.insert(first, row((low + high) / 2))
     candidates = [row for row in sweep if enough(row)] or sweep[-1:]
     most = max(row["damage_per_attack"] for row in candidates)
-    chosen = next(row for row in candidates if row["damage_per_attack"] >= (1 - TIE) * most)
+    chosen = next(row for row in candidates if row["damage_per_attack"] >= most - TIE * abs(most))
     return dict(
         c_vul=chosen["c_vul"], attack_rate=chosen["attack_rate"], clean_return=clean_return,
         always_return=always_return, sweep=sweep, seeds=[episode_seeds[0], n],

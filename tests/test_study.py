@@ -124,6 +124,14 @@ def test_the_vulnerable_timing_does_the_most_damage_a_strike_of_those_that_keep_
     assert np.mean(attacks) == row["attacks"] and found["attack_rate"] == attacks.sum() / episodes.mask.sum()
 
 
+def test_a_threshold_is_chosen_even_where_the_attack_does_the_victim_good():
+    found = tune_vulnerable(HOPPER, make_victim(seed=1), THREAT, n=4, steps=26)
+    most = max(row["damage_per_attack"] for row in found["sweep"])
+    assert most < 0
+    row = next(row for row in found["sweep"] if row["c_vul"] == found["c_vul"])
+    assert row["damage_per_attack"] >= 1.02 * most
+
+
 @pytest.mark.parametrize("name", ["optimal", "linear"])
 def test_a_learned_adversary_attacks_in_a_cell_once_it_is_given(victim, name):
     with pytest.raises(ValueError, match=f"adversaries: the {name} one is missing"):
