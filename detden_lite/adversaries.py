@@ -87,16 +87,12 @@ def _ship(run: Run, kind: str, recipe: type, folders: Iterable[Path], timings: S
     seeds = study.seeds("adversary", SCREENING + n)
     episodes = dict(screening=seeds[:SCREENING], selection=seeds[SCREENING:])
 
-    def mean(adversary: Victim | None, purpose: str) -> float:
-        attack = OptimalAttack(adversary, run.budget) if adversary else None
-        played = [
-            rollout(
-                victim, run.task, episodes[purpose], attack=attack, timing=threat.timing(timing, victim),
-                steps=run.scale.horizon,
-            )
-            for timing in timings
-        ]  # fmt: skip
-        return float(np.mean([one.returns for one in played]))
+    def play(purpose: str, **attacked) -> np.ndarray:
+        return rollout(victim, run.task, episodes[purpose], steps=run.scale.horizon, **attacked).returns
+
+    def mean(adversary: Victim, purpose: str) -> float:
+        attack = OptimalAttack(adversary, run.budget)
+        return float(np.mean([play(purpose, attack=attack, timing=threat.timing(name, victim)) for name in timings]))
 
     chosen = selection.choose(run.task, recipe, folders, mean, sign=-1, n=5)
     sidecar = dict(
@@ -106,7 +102,7 @@ def _ship(run: Run, kind: str, recipe: type, folders: Iterable[Path], timings: S
         step=chosen.step,
         timings=list(timings),
         selection_mean=chosen.selection,
-        clean_mean=mean(None, "selection"),
+        clean_mean=float(play("selection").mean()),
         selection_seeds=[episodes["selection"][0], n],
         learning_curves=chosen.curves,
     )
