@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from detden_lite import adversaries, durations, gallery, stages, study, sweeps, tables
+from detden_lite import ablations, adversaries, durations, gallery, stages, study, sweeps, tables
 from detden_lite.artifacts import ArtifactError
 from detden_lite.scales import ALGORITHMS, SCALES
 from detden_lite.tasks import TASKS
@@ -47,8 +47,10 @@ def parser() -> argparse.ArgumentParser:
             "--data", choices=stages.DATASETS, default="diverse", help="exploration in D_normal; default: %(default)s"
         )
     add("denoiser", stages.train_denoiser, "train a denoiser").add_argument(
-        "--variant", choices=stages.VARIANTS, default="residual", help="default: %(default)s"
+        "--variant", choices=stages.VARIANTS, default=stages.MAIN, help="default: %(default)s"
     )
+    add("baselines", ablations.fit_baselines, "fit what the GRU-VAEs have to beat")
+    add("threshold", ablations.tune_threshold, "tune C_anomaly as the paper does, on attacked episodes")
     add("timing", stages.tune_timing, "tune when the attacker strikes")
     add("adversary", adversaries.train_member, "train a member of the grid of adversaries").add_argument(
         "--member", type=int, default=0, help="its place in the grid; default: %(default)s"
@@ -57,24 +59,26 @@ def parser() -> argparse.ArgumentParser:
     add("linear", adversaries.search_linear, "search for a linear adversary")
     evaluate = add("evaluate", stages.evaluate, "run every cell of the tables")
     evaluate.add_argument(
-        "--defenses", nargs="+", choices=["none", *stages.VARIANTS], default=["none", "residual"],
+        "--defenses", nargs="+", choices=["none", *stages.VARIANTS, *ablations.ASSEMBLED],
+        default=["none", stages.MAIN],
         help="none is the bare victim; default: %(default)s",
     )  # fmt: skip
     evaluate.add_argument(
         "--attacks", nargs="+", choices=["none", *study.ATTACKS], default=["none", *study.ATTACKS],
         help="default: all of them",
     )  # fmt: skip
+    add("ablate", stages.ablate, "run the cells of ablations, baselines and ceilings")
     add("epsilon", sweeps.epsilon, "attack at several sizes of the ball")
     add("planning", sweeps.planning, "run the enchanting attack with several planners")
     add("look", gallery.look, "record and film an episode, attacked and not (needs a GL driver)").add_argument(
-        "--variant", choices=stages.VARIANTS, default="residual", help="default: %(default)s"
+        "--variant", choices=stages.VARIANTS, default=stages.MAIN, help="default: %(default)s"
     )
     add("portrait", gallery.portrait, "film a clean episode of the victim (needs a GL driver)")
     shown = add("gallery", gallery.gallery, "film and record an episode under each attack (needs a GL driver)")
     shown.add_argument(
         "--attacks", nargs="+", choices=study.ATTACKS, default=list(study.FOUR), help="default: %(default)s"
     )  # fmt: skip
-    shown.add_argument("--variant", choices=stages.VARIANTS, default="residual", help="default: %(default)s")
+    shown.add_argument("--variant", choices=stages.VARIANTS, default=stages.MAIN, help="default: %(default)s")
     add("publish", stages.publish, "copy what is shipped into data/")
     add("table", tables.write, "gather the records of all victims in one table", parents=[where])
     took = add("durations", durations.show, "print how long each stage takes", parents=[where])

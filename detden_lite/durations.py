@@ -15,8 +15,9 @@ from detden_lite.victim_recipes import PPORecipe, TD3Recipe
 from detden_lite.victim_training import train_victim
 
 STAGES = (
-    "victim", "select", "qfunction", "trajectories", "augmentation", "detector", "denoiser", "timing", "adversary",
-    "choose", "linear", "attacks", "evaluation", "look", "portrait", "epsilon", "planning", "gallery",
+    "victim", "select", "qfunction", "trajectories", "augmentation", "detector", "denoiser", "baselines", "threshold",
+    "timing", "adversary", "choose", "linear", "attacks", "evaluation", "ablation", "look", "portrait",
+    "epsilon", "planning", "gallery",
 )  # fmt: skip
 RECORD = "durations.json"  # in data/
 

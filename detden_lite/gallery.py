@@ -12,10 +12,10 @@ from detden_lite.attacked import NAMES
 from detden_lite.attacks import After
 from detden_lite.playback import Robot
 from detden_lite.rollout import Episodes, rollout
-from detden_lite.runs import Run
+from detden_lite.runs import MAIN, Run
 
 
-def look(run: Run, variant: str = "residual", n: int = 16) -> None:
+def look(run: Run, variant: str = MAIN, n: int = 16) -> None:
     """A recording, a film and stills of one report episode clean, attacked and defended.
 
     Of the first n report episodes it is the one whose attacked length is the median.
@@ -53,7 +53,7 @@ def portrait(run: Run, n: int = 16) -> None:
 def gallery(
     run: Run,
     attacks: Sequence[str] = study.FOUR,
-    variant: str = "residual",
+    variant: str = MAIN,
     n: int = 8,
     begin: int = 125,
     steps: int = 500,

@@ -42,10 +42,13 @@ VARIANTS = {
     "printed": Variant("plain"),
     "diverse": Variant("diverse"),
     "residual": Variant("diverse", recipe=dict(residual=True)),
+    "paper": Variant("plain", tuple(ADVERSARIAL)),
     "both": Variant("diverse", tuple(ADVERSARIAL), dict(residual=True)),
     "mixed": Variant("diverse", tuple(ADVERSARIAL), dict(residual=True, least_share=0.2, least_size=0.5)),
     "regularized": Variant("diverse", tuple(ADVERSARIAL), dict(residual=True, lam=0.1)),
+    "standard-prior": Variant("diverse", tuple(ADVERSARIAL), dict(residual=True, prior="standard")),
 }
+MAIN = "mixed"  # the defence of the tables
 
 
 @dataclass(frozen=True)

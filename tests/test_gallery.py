@@ -8,6 +8,7 @@ from PIL import Image
 from test_cards import ship
 
 from detden_lite import artifacts, films, stages
+from detden_lite.runs import MAIN
 from detden_lite.victims import Victim
 
 SCRIPT = """
@@ -21,7 +22,7 @@ def test_all_attacks_are_filmed_side_by_side_and_recorded_one_by_one(tmp_path):
     root = tmp_path / "run"
     ship(root)
     artifacts.save_model("hopper", "td3", "detector-diverse", make_gruvae(), dict(threshold=1.0), root)
-    artifacts.save_model("hopper", "td3", "denoiser-residual", make_gruvae(), dict(data="diverse"), root)
+    artifacts.save_model("hopper", "td3", f"denoiser-{MAIN}", make_gruvae(), dict(data="diverse"), root)
     artifacts.write_json(root / "hopper-td3" / "timing.json", dict(c_vul=0.0, attack_rate=0.5), root)
     artifacts.save_adversary("hopper", "td3", "optimal", Victim([11, 11]), {}, root)
     run_with_gl(SCRIPT, root)

@@ -16,7 +16,7 @@ from conftest import ROOT
 from rulegraph import rule_graph
 
 from detden_lite import artifacts, durations, stages
-from detden_lite.runs import VARIANTS
+from detden_lite.runs import MAIN, VARIANTS
 from detden_lite.scales import ALGORITHMS, SCALES, get_scale
 from detden_lite.tasks import TASKS
 
@@ -25,7 +25,7 @@ ROWS = [f"{task}-{algo}" for algo in ALGORITHMS for task in TASKS]
 JOBS = dict(
     victim=12, select=10, qfunction=5, trajectories=11, augmentation=11, detector=11, timing=10,
     choose=10, linear=10, attacks=10, evaluation=10, table=1, look=10, portrait=10,
-    epsilon=1, planning=1, gallery=1, all=1,
+    epsilon=1, planning=1, gallery=1, baselines=1, threshold=1, ablation=1, all=1,
 )  # fmt: skip
 
 
@@ -110,9 +110,9 @@ def test_a_profile_is_for_the_executor_of_its_name(profile):
 def test_a_row_may_be_asked_for_alone_and_without_films(tmp_path):
     rows = planned(run(tmp_path, "--dry-run", "--config", "only=hopper-td3 ant-ppo", "films=false"))
     assert rows == dict(
-        victim=4, select=2, qfunction=1, trajectories=3, augmentation=3, detector=3, denoiser=7, timing=2,
+        victim=4, select=2, qfunction=1, trajectories=3, augmentation=3, detector=3, denoiser=9, timing=2,
         adversary=4, choose=2, linear=2, attacks=2, evaluation=2, table=1, epsilon=1,
-        planning=1, all=1,
+        planning=1, baselines=1, threshold=1, ablation=1, all=1,
     )  # fmt: skip
 
 
@@ -194,10 +194,10 @@ def test_a_killed_run_goes_on_and_makes_nothing_twice(killed):
 
 def test_a_run_makes_everything_of_its_row(killed):
     folder, _ = killed
-    names = {cell.record_name("hopper", "ppo") for cell in stages.cells(["none", "residual"])}
+    names = {cell.record_name("hopper", "ppo") for cell in stages.cells(["none", MAIN])}
     assert {path.stem for path in (folder / "results").glob("*.json")} == names
     assert artifacts.load_victim("hopper", "ppo", folder).critics
-    artifacts.load_defense("hopper", "ppo", "residual", folder)
+    artifacts.load_defense("hopper", "ppo", MAIN, folder)
     assert all(artifacts.load_adversary("hopper", "ppo", kind, folder).obs_dim == 11 for kind in ("optimal", "linear"))
     with (folder / "tables" / "returns.csv").open(newline="") as file:
         assert {
@@ -208,7 +208,7 @@ def test_a_run_makes_everything_of_its_row(killed):
 def test_how_long_the_stages_took_is_measured(killed):
     record = durations.measure(killed[0])
     assert set(record["rows"]["hopper-ppo"]) == set(durations.STAGES) - {
-        "look", "portrait", "epsilon", "planning", "gallery",
+        "look", "portrait", "epsilon", "planning", "gallery", "baselines", "threshold", "ablation",
     }  # fmt: skip
     spent = record["rows"]["hopper-ppo"]
     assert all(stage["wall_seconds"] > 0 for stage in spent.values())
@@ -219,7 +219,7 @@ def test_a_finished_run_has_nothing_to_do_and_what_is_lost_is_made_anew(killed):
     folder, _ = killed
     only = ("--dry-run", "--config", "only=hopper-ppo", "films=false")
     assert "Nothing to be done" in run(folder, *only)
-    (folder / "hopper-ppo" / "denoiser-residual.json").unlink()
+    (folder / "hopper-ppo" / f"denoiser-{MAIN}.json").unlink()
     assert set(planned(run(folder, *only))) == {"denoiser", "evaluation", "table", "all"}
 
 

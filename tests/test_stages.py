@@ -21,7 +21,7 @@ from detden_lite.budget import Budget
 from detden_lite.defense import Detector
 from detden_lite.defense.detector import calibrate, clean_scores
 from detden_lite.rollout import rollout
-from detden_lite.runs import load_shard
+from detden_lite.runs import MAIN, load_shard
 from detden_lite.study import seeds
 from detden_lite.victims import Victim
 
@@ -76,9 +76,9 @@ def the_run(root: Path) -> stages.Run:
 def test_the_recipe_makes_everything_that_the_library_loads(request, algo):
     tiny = request.getfixturevalue("tiny" if algo == "td3" else "tiny_ppo")
     victim = artifacts.load_victim("hopper", algo, tiny)
-    defense = artifacts.load_defense("hopper", algo, "residual", tiny)
+    defense = artifacts.load_defense("hopper", algo, MAIN, tiny)
     assert victim.obs_dim == defense.detector.model.obs_dim == 11 and defense.denoiser.model.config["residual"]
-    for cell in stages.cells(["none", "residual"]):
+    for cell in stages.cells(["none", MAIN]):
         record = artifacts.load_record(cell.record_name("hopper", algo), tiny)
         assert len(record["returns"]) == (2 if cell.attack == "enchanting" else 4)
         assert record["estimate"]["mean"] == pytest.approx(np.mean(record["returns"]))
@@ -185,7 +185,7 @@ def test_trajectories_are_attacked_within_the_ball(attacked):
 
 def test_every_variant_that_learns_from_both_attacks_is_trained(attacked):
     before, weights = contents(attacked.root), {}
-    for name in ("residual", "both", "mixed", "regularized"):
+    for name in ("residual", "both", "mixed", "regularized", "standard-prior"):
         stages.train_denoiser(attacked, name)
         model, card = artifacts.load_model("hopper", attacked.algo, f"denoiser-{name}", attacked.root)
         assert card["adversarial"] == (["adversarial"] if name == "residual" else ["adversarial", "qfunction"])
@@ -213,9 +213,9 @@ def test_what_is_lost_or_harmed_is_made_anew_and_the_same(tiny, copy):
         "collect": [f"{shard}.json", "hopper-td3/calibration/00000.safetensors"],
         "augment": ["hopper-td3/adversarial-diverse/00000.json", "hopper-td3/qfunction-diverse/00000.safetensors"],
         "detector": ["hopper-td3/detector-diverse.safetensors"],
-        "denoiser": ["hopper-td3/denoiser-residual.json"],
+        "denoiser": [f"hopper-td3/denoiser-{MAIN}.json"],
         "timing": ["hopper-td3/timing.json"],
-        "evaluate": ["results/hopper-td3.opposite.always.residual.json"],
+        "evaluate": [f"results/hopper-td3.opposite.always.{MAIN}.json"],
     }
     for harmed in (f"{shard}.safetensors",):
         (copy / harmed).write_bytes((copy / harmed).read_bytes()[:100])
@@ -262,7 +262,7 @@ def test_without_a_snapshot_there_is_nothing_to_select(copy):
         ("linear", [], "victim.safetensors is missing"),
         ("evaluate", ["victim.*"], "timing.json is missing"),
         ("evaluate", ["victim.*", "timing.json"], "adversaries: the linear one is missing; run its stage first"),
-        ("evaluate", ["victim.*", "timing.json", "adversary*"], "denoiser-residual.safetensors is missing"),
+        ("evaluate", ["victim.*", "timing.json", "adversary*"], f"denoiser-{MAIN}.safetensors is missing"),
     ],
 )
 def test_a_stage_out_of_order_says_what_is_missing(tiny, tmp_path, stage, made, message):
@@ -334,7 +334,7 @@ def test_a_full_disk_stops_every_stage_with_one_line_and_leaves_what_there_was(t
     lost = dict(
         collect=folder / "calibration" / "00000.safetensors",
         detector=folder / "checkpoints" / "detector-diverse.ckpt",
-        denoiser=folder / "checkpoints" / "denoiser-residual.ckpt",
+        denoiser=folder / "checkpoints" / f"denoiser-{MAIN}.ckpt",
         evaluate=copy / "results" / "hopper-td3.none.always.none.json",
     )
     for path in lost.values():
@@ -373,11 +373,11 @@ def command_line(*arguments: str, data: Path | None = None) -> subprocess.Comple
 def test_the_command_line_publishes_models_and_records_but_no_trajectories(tiny, tmp_path):
     assert command_line("publish", "--scale", "tiny", "--root", str(tiny), data=tmp_path).returncode == 0
     published = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()}
-    models = {f"hopper-td3/{name}" for name in ("victim", "detector-diverse", "denoiser-residual", *ADVERSARIES)}
-    records = {f"results/{cell.record_name('hopper', 'td3')}.json" for cell in stages.cells(["none", "residual"])}
+    models = {f"hopper-td3/{name}" for name in ("victim", "detector-diverse", f"denoiser-{MAIN}", *ADVERSARIES)}
+    records = {f"results/{cell.record_name('hopper', 'td3')}.json" for cell in stages.cells(["none", MAIN])}
     expected = {f"{name}.{ending}" for name in models for ending in ("json", "safetensors")} | records
     assert published - {".manifest.lock"} == expected | {"hopper-td3/timing.json", "manifest.json"}
-    artifacts.load_defense("hopper", "td3", "residual", tmp_path)
+    artifacts.load_defense("hopper", "td3", MAIN, tmp_path)
 
 
 def test_an_error_is_one_line_and_no_traceback(tmp_path):

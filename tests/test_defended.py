@@ -1,0 +1,86 @@
+"""The records of defended victims, and the paper's numbers beside them."""
+
+import numpy as np
+import pytest
+from test_attacked import record
+
+from detden_lite import artifacts, cards, study
+from detden_lite.artifacts import ArtifactError
+from detden_lite.attacked import CLEAN
+from detden_lite.attacked import PAPER as UNDEFENDED
+from detden_lite.defended import PAPER, kept, kept_on_average, load, worst
+from detden_lite.runs import MAIN
+
+RNG = np.random.default_rng(0)
+
+
+def ship(root, **returns) -> None:
+    for name, values in returns.items():
+        path = root / "results" / f"hopper-td3.{name.replace('_', '.')}.{MAIN}.json"
+        artifacts.write_json(path, record(values), root)
+
+
+def test_the_papers_table_2_is_its_table_1_averaged():
+    """But for rounding: average and minimum under attack, columns "Ours", typed here from table 2."""
+    table_2 = {
+        ("hopper", "td3"): (2_912, 2_219), ("hopper", "ppo"): (3_001, 2_615), ("walker2d", "td3"): (4_411, 4_005),
+        ("walker2d", "ppo"): (2_414, 1_393), ("halfcheetah", "td3"): (8_607, 8_174),
+        ("halfcheetah", "ppo"): (4_644, 3_765),
+        ("ant", "td3"): (3_298, 2_137), ("ant", "ppo"): (4_129, 1_042), ("humanoid", "td3"): (4_786, 4_042),
+        ("humanoid", "ppo"): (2_999, 1_695),
+    }  # fmt: skip
+    assert set(PAPER) == set(table_2) == set(cards.ROWS)
+    for victim, (average, least) in table_2.items():
+        returns = list(PAPER[victim].returns.values())
+        assert np.mean(returns) == pytest.approx(average, abs=1) and min(returns) == least
+
+
+def test_the_papers_numbers_are_what_such_numbers_can_be():
+    for victim, paper in PAPER.items():
+        assert paper.clean < cards.PAPER[victim] and 0.9 <= paper.accuracy <= 1
+        for scores in (paper.f1, paper.misses, paper.mae, paper.returns):
+            assert tuple(scores) == study.FOUR
+        assert all(paper.returns[attack] > UNDEFENDED[victim][attack] for attack in study.FOUR)
+        assert all(score > 0.8 for score in paper.f1.values()) and all(miss <= 0.08 for miss in paper.misses.values())
+        assert all(0 < error < 0.06 for error in paper.mae.values())
+
+
+def test_only_records_of_this_defence_are_loaded_and_altered_ones_refused(tmp_path):
+    assert load("hopper", "td3", root=tmp_path) == {}
+    ship(tmp_path, none_always=[10, 12], enchanting_vulnerable=[3, 5])
+    assert set(load("hopper", "td3", root=tmp_path)) == {CLEAN, ("enchanting", "vulnerable")}
+    assert load("hopper", "td3", "printed", tmp_path) == {}
+    path = tmp_path / "results" / f"hopper-td3.none.always.{MAIN}.json"
+    path.write_text(path.read_text().replace("12", "99"))
+    with pytest.raises(ArtifactError, match="truncated or altered"):
+        load("hopper", "td3", root=tmp_path)
+
+
+def test_the_worst_cell_is_attacked():
+    records = {CLEAN: record([0, 0])}
+    assert worst(records) is None
+    records |= {("opposite", "always"): record([5, 6]), ("optimal", "vulnerable"): record([5, 5])}
+    assert worst(records) == ("optimal", "vulnerable")
+
+
+def test_what_is_kept_is_a_ratio_of_means_over_the_same_episodes():
+    """Episodes that differ widely, of all of which the same part is kept: the part is known better than the returns."""
+    bare = RNG.normal(1_000, 300, 60)
+    part = kept(record(0.8 * bare), record(bare))
+    assert (part.mean, part.low, part.high) == pytest.approx((0.8, 0.8, 0.8)) and str(part) == "80% [80%, 80%]"
+    noisy = kept(record(0.8 * bare + RNG.normal(0, 50, 60)), record(bare))
+    assert noisy.low < 0.8 < noisy.high and noisy.high - noisy.low < 0.1
+    assert kept(record(0.5 * bare[:30]), record(bare)).mean == pytest.approx(0.5)  # of the episodes that both have
+    with pytest.raises(ValueError, match="other episodes, from 5 and 8000000"):
+        kept(record(bare, first=5), record(bare))
+
+
+def test_the_average_over_the_attacks_needs_all_four():
+    bare = RNG.normal(1_000, 300, 60)
+    records = {
+        (attack, "always"): record(share * bare) for attack, share in zip(study.FOUR, (1, 0.5, 0.9, 0.8), strict=True)
+    }
+    assert kept_on_average(records, record(bare)).mean == pytest.approx(0.8)
+    assert kept_on_average(records, record(bare), "vulnerable") is None
+    del records["optimal", "always"]
+    assert kept_on_average(records, record(bare)) is None
