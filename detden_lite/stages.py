@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from detden_lite import ablations, artifacts, metrics, qfunction, selection, study, victim_training
+from detden_lite import ablations, artifacts, metrics, qfunction, selection, study, victim_training, vulnerability
 from detden_lite.defense import Detector, augmentation
 from detden_lite.defense.detector import calibrate, clean_scores, conformal_threshold
 from detden_lite.defense.regularizer import Regularizer
@@ -168,7 +168,7 @@ def tune_timing(run: Run) -> None:
     """Tune C_vul, and with it the rate of the random timing, on tuning episodes."""
     path = run.folder / "timing.json"
     if not artifacts.is_made(path, run.root):
-        tuned = study.tune_vulnerable(run.task, run.victim(), run.untimed_threat, steps=run.scale.horizon)
+        tuned = vulnerability.tune_vulnerable(run.task, run.victim(), run.untimed_threat, steps=run.scale.horizon)
         artifacts.write_json(path, tuned, run.root)
 
 

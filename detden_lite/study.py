@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
-import torch
 
 from detden_lite.artifacts import versions
 from detden_lite.attacks import (
@@ -162,76 +161,3 @@ def run_cell(
         versions=versions(),
     )
     return record, episodes
-
-
-TIE = 0.02  # a relative difference in damage that does not count
-
-
-def tune_vulnerable(
-    task: Task, victim: Victim, threat: Threat, n: int = 32, keep: float = 0.5, steps: int | None = None,
-    bisections: int = 5,
-) -> dict:  # fmt: skip
-    """Choose C_vul on tuning episodes: the largest damage for each attacked step (section 3.2.2, appendix C.2).
-
-    Only thresholds count that keep half of the damage of attacking always: a single strike may be the most efficient,
-    but leaves the victim standing. They are quantiles of V in clean episodes, up to the first that attacks always.
-    Since an attacked victim is more vulnerable, the share of attacked steps may jump from one of them to the next; so
-    the step from too little damage to enough is bisected. Of thresholds that do the most within 2 %, the lowest is
-    chosen.
-
-    Args:
-        task: where.
-        victim: whom.
-        threat: the attacker's settings; the opposite attack is tuned with.
-        n: how many tuning episodes.
-        keep: the share of the damage of attacking always that must be kept.
-        steps: the longest an episode may be; the task's horizon by default.
-        bisections: how often that step is halved.
-
-    Returns:
-        The chosen ``c_vul``, and the whole ``sweep`` it was chosen from, ready for JSON.
-    """
-    episode_seeds = seeds("tuning", n)
-    attack = threat.attack("opposite", victim, task)
-
-    def measure(attack, timing) -> Episodes:
-        return rollout(victim, task, episode_seeds, attack=attack, timing=timing, steps=steps)
-
-    clean = measure(None, None)
-    values = victim.value(torch.from_numpy(clean.obs[clean.mask])).numpy()
-    clean_return = float(clean.returns.mean())
-    always_return = float(measure(attack, Always()).returns.mean())
-
-    def row(c_vul: float) -> dict:
-        attacked = measure(attack, Vulnerable(victim, c_vul))
-        strikes = float((attacked.attacked & attacked.mask).sum(0).mean())
-        mean_return = float(attacked.returns.mean())
-        return dict(
-            quantile=float((values < c_vul).mean()),
-            c_vul=c_vul,
-            attack_rate=float(attacked.attacked[attacked.mask].mean()),
-            attacks=strikes,
-            mean_return=mean_return,
-            damage_per_attack=(clean_return - mean_return) / strikes if strikes else 0.0,
-        )
-
-    def enough(row: dict) -> bool:
-        return clean_return - row["mean_return"] >= keep * (clean_return - always_return)
-
-    sweep: list[dict] = []
-    for quantile in (0.01, 0.03, 0.1, 0.25, 0.5, 0.75, 0.9, 0.99):
-        sweep.append(row(float(np.quantile(values, quantile))))
-        if sweep[-1]["attack_rate"] == 1:
-            break
-    for _ in range(bisections):
-        first = next((i for i, tried in enumerate(sweep) if enough(tried)), 0)
-        if first:
-            low, high = (sweep[i]["c_vul"] for i in (first - 1, first))
-            sweep.insert(first, row((low + high) / 2))
-    candidates = [row for row in sweep if enough(row)] or sweep[-1:]
-    most = max(row["damage_per_attack"] for row in candidates)
-    chosen = next(row for row in candidates if row["damage_per_attack"] >= most - TIE * abs(most))
-    return dict(
-        c_vul=chosen["c_vul"], attack_rate=chosen["attack_rate"], clean_return=clean_return,
-        always_return=always_return, sweep=sweep, seeds=[episode_seeds[0], n],
-    )  # fmt: skip
