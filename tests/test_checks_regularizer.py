@@ -1,0 +1,136 @@
+"""Every check passes on a solution, lets a stub's NotImplementedError through, and fails on plausible mistakes."""
+
+import pytest
+import torch
+
+from detden_lite.checks import regularizer as checks
+from detden_lite.defense.gruvae import kl_divergence, reconstruction_loss
+
+CHECKS = [checks.check_r_ppo, checks.check_training_loss, checks.check_survives]
+
+
+def r_ppo(action, reference, std):
+    return ((action - reference) / std).square().sum(-1)
+
+
+def training_loss(
+    model, regularizer, true, perturbed, mask, noise, beta, lam, elbo=1.0, sign=1.0, shown=None, wanted=None,
+    attacked=None, where=None, counted=None, z="noise",
+):  # fmt: skip
+    """The solution, and with other arguments every mistake."""
+    result = model(perturbed if shown is None else shown, noise)
+    loss = reconstruction_loss(model, result.output, true if wanted is None else wanted)
+    loss = loss + beta * kl_divergence(result.mean, result.log_variance)
+    where, counted = (mask if m is None else m for m in (where, counted))
+    r = regularizer(model, true if attacked is None else attacked, counted, noise if z == "noise" else z)
+    return elbo * (loss * where).sum() / where.sum() + sign * lam * r
+
+
+def survives(action, denoised):
+    return 1 - (denoised - action).square().sum() / (action - action.mean(0)).square().sum()
+
+
+def test_the_solutions_pass(capsys):
+    for check, solution in zip(CHECKS, (r_ppo, training_loss, survives), strict=True):
+        check(solution)
+    assert capsys.readouterr().out.count("Right") == 3
+
+
+def test_other_ways_to_say_the_same_pass():
+    checks.check_r_ppo(lambda a, b, s: torch.einsum("nti,ij,ntj->nt", a - b, torch.diag(s**-2), a - b))
+    checks.check_survives(lambda a, d: 1 - ((d - a) ** 2).mean() / a.var(0, unbiased=False).mean())
+
+
+@pytest.mark.parametrize("check", CHECKS)
+def test_a_stub_is_let_through(check):
+    def stub(*arguments):
+        raise NotImplementedError("Exercise 7.1: a title")
+
+    with pytest.raises(NotImplementedError):
+        check(stub)
+
+
+@pytest.mark.parametrize("check", CHECKS)
+def test_a_function_that_returns_nothing_is_told_so(check):
+    with pytest.raises(AssertionError, match="return"):
+        check(lambda *arguments: None)
+
+
+@pytest.mark.parametrize(
+    ("mistake", "says"),
+    [
+        (lambda a, b, s: (a - b).square().sum(-1), "Sigma is missing"),
+        (lambda a, b, s: ((a - b).square() / s).sum(-1), "VARIANCES"),
+        (lambda a, b, s: ((a - b) / s**2).square().sum(-1), "variance once"),
+        (lambda a, b, s: ((a - b) * s).square().sum(-1), "Sigma\\^-1"),
+        (lambda a, b, s: ((a - b) / s).norm(dim=-1), "without a root"),
+        (lambda a, b, s: ((a - b) / s).square().mean(-1), "that is their mean"),
+        (lambda a, b, s: ((a - b) / s).sum(-1).square(), "cancel"),
+        (lambda a, b, s: r_ppo(a, b, s).mean(), "each has its own"),
+        (lambda a, b, s: ((a - b) / s).square(), "shape"),
+    ],
+)
+def test_a_wrong_r_is_told(mistake, says):
+    with pytest.raises(AssertionError, match=says):
+        checks.check_r_ppo(mistake)
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        (lambda m, true, seen: dict(sign=-1), "R is subtracted"),
+        (lambda m, true, seen: dict(elbo=-1), "printed sign"),
+        (lambda m, true, seen: dict(elbo=-1, sign=-1), "minus what should be"),
+        (lambda m, true, seen: dict(lam=1), "lam is missing"),
+        (lambda m, true, seen: dict(lam=0), "R is missing"),
+        (lambda m, true, seen: dict(elbo=0.5, lam=1), "lam weighs the ELBO"),
+        (lambda m, true, seen: dict(attacked=seen), "attacked already"),
+        (lambda m, true, seen: dict(z=None), "latent's mean"),
+        (lambda m, true, seen: dict(counted=torch.ones_like(m)), "counted in R"),
+        (lambda m, true, seen: dict(where=torch.ones_like(m)), "counted in the error"),
+        (lambda m, true, seen: dict(shown=true, wanted=seen), "asked for the attacked"),
+        (lambda m, true, seen: dict(shown=true), "should see what is perturbed"),
+        (lambda m, true, seen: dict(beta=1), "beta is missing"),
+        (lambda m, true, seen: dict(beta=0), "KL is missing"),
+        (lambda m, true, seen: dict(elbo=2), "should be"),
+    ],
+)
+def test_a_wrong_loss_is_told(changed, says):
+    names = ("model", "regularizer", "true", "perturbed", "mask", "noise", "beta", "lam")
+
+    def mistake(*arguments):
+        given = dict(zip(names, arguments, strict=True))
+        return training_loss(**given | changed(given["mask"], given["true"], given["perturbed"]))
+
+    with pytest.raises(AssertionError, match=says):
+        checks.check_training_loss(mistake)
+
+
+@pytest.mark.parametrize(
+    ("mistake", "says"),
+    [
+        (lambda *given: training_loss(*given).detach(), "no gradient"),
+        (lambda *given: training_loss(*given[:-1], 0.5), "with lam = 0"),
+        (lambda *given: training_loss(*given).expand(2), "shape"),
+    ],
+)
+def test_a_loss_that_cannot_be_trained_with_is_told(mistake, says):
+    with pytest.raises(AssertionError, match=says):
+        checks.check_training_loss(mistake)
+
+
+@pytest.mark.parametrize(
+    ("mistake", "says"),
+    [
+        (lambda a, d: 1 - survives(a, d), "LOST"),
+        (lambda a, d: 1 - (d - a).square().sum() / a.square().sum(), "not from 0"),
+        (lambda a, d: 1 - (d - a).square().sum() / (a - a.mean()).square().sum(), "by itself"),
+        (lambda a, d: (d - d.mean(0)).square().sum() / (a - a.mean(0)).square().sum(), "Shrinking"),
+        (lambda a, d: 1 - (d - a).square().sum() / (d - d.mean(0)).square().sum(), "TRUE actions vary"),
+        (lambda a, d: 1 - (d - a).abs().sum() / (a - a.mean(0)).abs().sum(), "Square"),
+        (lambda a, d: survives(a, d).clamp_min(0), "do not clip"),
+    ],
+)
+def test_a_wrong_share_is_told(mistake, says):
+    with pytest.raises(AssertionError, match=says):
+        checks.check_survives(mistake)
