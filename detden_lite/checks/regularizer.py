@@ -125,4 +125,4 @@ def check_survives(survives: Callable[[Tensor, Tensor], Tensor]) -> None:
         compare(f"survives for {name}", survives(action, other), expected, mistakes)
     constant = survives(action, torch.full_like(action, 3.0))
     assert constant < 0, "a constant far from the mean is worse than the mean: the share is negative, do not clip it"
-    print("Right. 1: the policy does what it would have done. 0: it might as well have kept its eyes shut.")
+    print("Right. 1: as without a denoiser. 0: as with closed eyes.")
