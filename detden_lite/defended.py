@@ -1,4 +1,4 @@
-"""What the defended victims earn, and what detector and denoiser do: the records beside the paper's tables 1 to 3."""
+"""What the defended victims earn, and what detector and denoiser do: the records that tables are made of."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,70 +9,6 @@ import numpy as np
 from detden_lite import artifacts, stages, study
 from detden_lite.attacked import CLEAN
 from detden_lite.runs import MAIN
-
-
-@dataclass(frozen=True)
-class Paper:
-    """The paper's numbers of one victim. Mappings are by attack, a name of ``study.FOUR``."""
-
-    clean: int  # table 2, "Ours": mean return under the defence when nobody attacks
-    returns: Mapping[str, int]  # table 1, behind the slash
-    accuracy: float  # table 3: of the detector, when nobody attacks
-    f1: Mapping[str, float]
-    misses: Mapping[str, float]  # false-negative rates
-    mae: Mapping[str, float]  # of the denoiser
-
-
-_PAPER = {
-    ("hopper", "td3"): (
-        3_506, (2_219, 3_328, 2_814, 3_287), 0.99,
-        (0.82, 0.98, 0.88, 0.99), (0.00, 0.01, 0.07, 0.00), (0.030, 0.023, 0.032, 0.024),
-    ),
-    ("hopper", "ppo"): (
-        3_201, (2_615, 3_569, 3_068, 2_751), 0.99,
-        (0.97, 0.94, 0.94, 0.95), (0.00, 0.00, 0.00, 0.00), (0.026, 0.018, 0.034, 0.038),
-    ),
-    ("walker2d", "td3"): (
-        4_712, (4_005, 4_329, 4_772, 4_538), 0.99,
-        (0.99, 0.99, 0.99, 0.99), (0.01, 0.01, 0.02, 0.01), (0.030, 0.032, 0.042, 0.045),
-    ),
-    ("walker2d", "ppo"): (
-        3_980, (1_785, 4_737, 1_393, 1_741), 0.95,
-        (0.97, 0.93, 0.95, 0.99), (0.05, 0.01, 0.00, 0.01), (0.041, 0.030, 0.033, 0.037),
-    ),
-    ("halfcheetah", "td3"): (
-        8_935, (8_946, 8_471, 8_174, 8_838), 0.95,
-        (0.99, 0.98, 0.98, 0.96), (0.00, 0.00, 0.00, 0.00), (0.049, 0.048, 0.050, 0.043),
-    ),
-    ("halfcheetah", "ppo"): (
-        7_634, (6_115, 4_218, 3_765, 4_477), 0.99,
-        (0.99, 0.98, 0.96, 0.96), (0.00, 0.01, 0.02, 0.01), (0.057, 0.041, 0.046, 0.048),
-    ),
-    ("ant", "td3"): (
-        5_804, (3_516, 2_137, 2_809, 4_729), 0.99,
-        (0.99, 0.99, 0.99, 0.99), (0.00, 0.00, 0.00, 0.00), (0.022, 0.022, 0.022, 0.023),
-    ),
-    ("ant", "ppo"): (
-        5_538, (5_404, 1_042, 4_574, 5_497), 0.99,
-        (0.99, 0.99, 0.99, 0.99), (0.00, 0.00, 0.00, 0.00), (0.023, 0.024, 0.027, 0.026),
-    ),
-    ("humanoid", "td3"): (
-        5_438, (4_849, 4_042, 5_130, 5_125), 0.99,
-        (0.96, 0.97, 1.00, 0.96), (0.08, 0.04, 0.00, 0.07), (0.048, 0.047, 0.043, 0.046),
-    ),
-    ("humanoid", "ppo"): (
-        4_429, (3_161, 3_508, 3_630, 1_695), 0.99,
-        (0.99, 0.99, 0.99, 0.99), (0.00, 0.00, 0.00, 0.00), (0.055, 0.045, 0.048, 0.050),
-    ),
-}  # fmt: skip
-
-
-def _paper(clean, returns, accuracy, *scores) -> Paper:
-    by_attack = [dict(zip(study.FOUR, row, strict=True)) for row in (returns, *scores)]
-    return Paper(clean, by_attack[0], accuracy, *by_attack[1:])
-
-
-PAPER = {victim: _paper(*row) for victim, row in _PAPER.items()}
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from test_attacked import record
 
-from detden_lite import artifacts, cards, study
+from detden_lite import artifacts, study
 from detden_lite.artifacts import ArtifactError
 from detden_lite.attacked import CLEAN
-from detden_lite.attacked import PAPER as UNDEFENDED
-from detden_lite.defended import PAPER, kept, kept_on_average, load, worst
+from detden_lite.defended import kept, kept_on_average, load, worst
 from detden_lite.runs import MAIN
 
 RNG = np.random.default_rng(0)
@@ -18,31 +17,6 @@ def ship(root, **returns) -> None:
     for name, values in returns.items():
         path = root / "results" / f"hopper-td3.{name.replace('_', '.')}.{MAIN}.json"
         artifacts.write_json(path, record(values), root)
-
-
-def test_the_papers_table_2_is_its_table_1_averaged():
-    """But for rounding: average and minimum under attack, columns "Ours", typed here from table 2."""
-    table_2 = {
-        ("hopper", "td3"): (2_912, 2_219), ("hopper", "ppo"): (3_001, 2_615), ("walker2d", "td3"): (4_411, 4_005),
-        ("walker2d", "ppo"): (2_414, 1_393), ("halfcheetah", "td3"): (8_607, 8_174),
-        ("halfcheetah", "ppo"): (4_644, 3_765),
-        ("ant", "td3"): (3_298, 2_137), ("ant", "ppo"): (4_129, 1_042), ("humanoid", "td3"): (4_786, 4_042),
-        ("humanoid", "ppo"): (2_999, 1_695),
-    }  # fmt: skip
-    assert set(PAPER) == set(table_2) == set(cards.ROWS)
-    for victim, (average, least) in table_2.items():
-        returns = list(PAPER[victim].returns.values())
-        assert np.mean(returns) == pytest.approx(average, abs=1) and min(returns) == least
-
-
-def test_the_papers_numbers_are_what_such_numbers_can_be():
-    for victim, paper in PAPER.items():
-        assert paper.clean < cards.PAPER[victim] and 0.9 <= paper.accuracy <= 1
-        for scores in (paper.f1, paper.misses, paper.mae, paper.returns):
-            assert tuple(scores) == study.FOUR
-        assert all(paper.returns[attack] > UNDEFENDED[victim][attack] for attack in study.FOUR)
-        assert all(score > 0.8 for score in paper.f1.values()) and all(miss <= 0.08 for miss in paper.misses.values())
-        assert all(0 < error < 0.06 for error in paper.mae.values())
 
 
 def test_only_records_of_this_defence_are_loaded_and_altered_ones_refused(tmp_path):
