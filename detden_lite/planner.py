@@ -7,6 +7,7 @@ import mujoco.rollout
 import numpy as np
 
 from detden_lite.draws import Draws
+from detden_lite.fast_simulator import healthy
 from detden_lite.simulator import make
 
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -66,31 +67,14 @@ class OpenLoop:
         last = trajectory[:, skip - 1 :: skip, 1:][:, : actions.shape[1]]  # without the time
         after = sensors[:, skip::skip, 0] if self.name == "Humanoid" else last[:, :, 0]
         before = np.concatenate([x[:, None], after[:, :-1]], axis=1)
-        healthy = self._healthy(last)
+        well = healthy(self.env, last)
         reward = self.env._forward_reward_weight * (after - before) / self.env.dt
         reward -= self.env._ctrl_cost_weight * np.square(actions).sum(-1)
         if self.name != "HalfCheetah":
-            reward += self.env._healthy_reward * healthy
-        alive = np.ones_like(healthy)
-        alive[:, 1:] = np.logical_and.accumulate(healthy, axis=1)[:, :-1]
+            reward += self.env._healthy_reward * well
+        alive = np.ones_like(well)
+        alive[:, 1:] = np.logical_and.accumulate(well, axis=1)[:, :-1]
         return reward * alive
-
-    def _healthy(self, state: np.ndarray) -> np.ndarray:
-        if self.name == "HalfCheetah":
-            return np.ones(state.shape[:2], dtype=bool)
-        upright = self.name in ("Hopper", "Walker2d")
-        z = state[..., 1 if upright else 2]
-        low, high = self.env._healthy_z_range
-        if self.name == "Ant":
-            return (low <= z) & (z <= high) & np.isfinite(state).all(-1)
-        healthy = (low < z) & (z < high)
-        if upright:
-            low, high = self.env._healthy_angle_range
-            healthy &= (low < state[..., 2]) & (state[..., 2] < high)
-        if self.name == "Hopper":
-            low, high = self.env._healthy_state_range
-            healthy &= ((low < state[..., 2:]) & (state[..., 2:] < high)).all(-1)
-        return healthy
 
 
 class CEMPlanner:
