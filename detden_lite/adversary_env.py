@@ -8,7 +8,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from detden_lite.attacks.optimal import perturb
 from detden_lite.attacks.timing import Always
 from detden_lite.budget import Budget
-from detden_lite.simulator import Simulator
+from detden_lite.fast_simulator import make_simulator
 from detden_lite.tasks import Task
 from detden_lite.victims import Victim
 
@@ -35,7 +35,7 @@ class AdversaryEnv(VecEnv):
         self, victim: Victim, task: Task, budget: Budget, n: int, timing=None, defense=None, steps: int | None = None
     ):
         self.victim, self.budget, self.timing, self.defense = victim, budget, timing or Always(), defense
-        self.simulator, self.horizon = Simulator(task.env_id, range(n)), steps or task.horizon
+        self.simulator, self.horizon = make_simulator(task.env_id, range(n)), steps or task.horizon
         everything = Box(-np.inf, np.inf, (task.obs_dim,), np.float32)
         super().__init__(n, everything, Box(-1.0, 1.0, (task.obs_dim,), np.float32))
         self.seed(0)

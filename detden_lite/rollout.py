@@ -11,6 +11,7 @@ from tqdm import tqdm
 
 from detden_lite.attacks.timing import Always
 from detden_lite.draws import Draws
+from detden_lite.fast_simulator import make_simulator
 from detden_lite.simulator import Simulator
 from detden_lite.tasks import Task
 from detden_lite.victims import Victim
@@ -94,7 +95,7 @@ def rollout(
             f"victim: it maps {victim.obs_dim} observations to {victim.action_dim} actions, "
             f"but {task.env_id} has {task.obs_dim} and {task.action_dim}; give the victim of this task"
         )
-    simulator = Simulator(task.env_id, seeds)
+    simulator = make_simulator(task.env_id, seeds)
     n = len(seeds)
     timing = timing or Always()
     for part in (attack, timing, defense):
