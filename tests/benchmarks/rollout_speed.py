@@ -1,7 +1,8 @@
 """Environment steps a second on one thread: episodes in lockstep against one at a time, with the same networks.
 
-Clean, and under PGD-20 with the defence; then where the time goes and what bounds it. Run by ``make bench``. All times
-are CPU times, so that other programs on the machine disturb less; what is compared is measured in turns.
+Clean, and under PGD-20 with the defence; then where the time goes and what bounds it; then, for four tasks, clean
+episodes as a share of bare physics, with gymnasium's own loop and with the fast simulator. Run by ``make bench``. All
+times are CPU times, so that other programs on the machine disturb less; what is compared is measured in turns.
 """
 
 from collections.abc import Callable
@@ -13,11 +14,13 @@ import numpy as np
 import torch
 
 from detden_lite import artifacts
+from detden_lite import rollout as rollout_module
 from detden_lite.attacks import OppositeAttack
 from detden_lite.budget import Budget
-from detden_lite.rollout import rollout
+from detden_lite.fast_simulator import make_simulator
+from detden_lite.rollout import Episodes, rollout
 from detden_lite.simulator import Simulator
-from detden_lite.tasks import get_task
+from detden_lite.tasks import Task, get_task
 
 torch.set_num_threads(1)
 TASK, STEPS, N = get_task("hopper"), 200, 128
@@ -67,7 +70,7 @@ def median(work: Callable[[], object], repetitions: int = 15) -> float:
 
 def where_the_time_goes() -> None:
     """One step of N attacked and defended episodes, and the least that its two large parts can take."""
-    simulator = Simulator(TASK.env_id, range(N))
+    simulator = make_simulator(TASK.env_id, range(N))
     obs = torch.from_numpy(simulator.reset())
     for part in (ATTACK, DEFENSE):
         part.reset(range(N))
@@ -98,6 +101,40 @@ def where_the_time_goes() -> None:
     )
 
 
+def replay(task: Task, episodes: Episodes) -> float:
+    """Steps a second of MuJoCo alone, in the same worlds with the same actions."""
+    simulator = make_simulator(task.env_id, episodes.seeds)
+    simulator.reset()
+    worlds = [(env.model, env.data, env.data.ctrl, env.frame_skip) for env in simulator.envs]
+    start = process_time()
+    for actions, mask in zip(episodes.action, episodes.mask.tolist(), strict=True):
+        for (model, data, control, frame_skip), action, alive in zip(worlds, actions, mask, strict=True):
+            if alive:
+                control[:] = action
+                mujoco.mj_step(model, data, frame_skip)
+    return episodes.mask.sum() / (process_time() - start)
+
+
+def share_of_physics(name: str, steps: int) -> None:
+    """Clean episodes with either simulator against MuJoCo alone."""
+    task, victim = get_task(name), artifacts.load_victim(name, "td3")
+    rounds = []
+    for _ in range(ROUNDS):
+        speeds = []
+        for kind in (Simulator, make_simulator):
+            rollout_module.make_simulator = kind
+            start = process_time()
+            episodes = rollout(victim, task, range(N), steps=steps)
+            speeds.append(episodes.mask.sum() / (process_time() - start))
+        rounds.append((*speeds, replay(task, episodes)))
+    before, after, bare = np.median(rounds, axis=0)
+    shares = np.median(np.array(rounds)[:, :2] / np.array(rounds)[:, 2:], axis=0)
+    print(
+        f"{name:<12}{bare:8,.0f} steps/s of MuJoCo alone; clean episodes {before:,.0f} ({shares[0]:.0%}) with "
+        f"gymnasium's loop, {after:,.0f} ({shares[1]:.0%}) with the fast simulator"
+    )
+
+
 if __name__ == "__main__":
     for title, parts in (("clean", {}), ("PGD-20 + defence", dict(attack=ATTACK, defense=DEFENSE))):
         rounds = np.array([(lockstep(**parts), one_at_a_time(**parts)) for _ in range(ROUNDS)])
@@ -105,3 +142,5 @@ if __name__ == "__main__":
         ratio = np.median(rounds[:, 0] / rounds[:, 1])
         print(f"{title:<17}{together:8,.0f} steps/s at N = {N},{alone:7,.0f} one at a time: {ratio:.1f} times as fast")
     where_the_time_goes()
+    for name, steps in (("hopper", 300), ("halfcheetah", 300), ("ant", 100), ("humanoid", 100)):
+        share_of_physics(name, steps)
