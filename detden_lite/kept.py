@@ -1,4 +1,4 @@
-"""What the defended victims earn, and what detector and denoiser do: the records that tables are made of."""
+"""What the defence keeps: the records of defended victims, beside those of the bare ones."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -40,7 +40,7 @@ def worst(records: Mapping[tuple[str, str], Mapping]) -> tuple[str, str] | None:
     return min(means, key=means.get) if means else None
 
 
-def kept(record: Mapping, bare: Mapping) -> Share:
+def of_clean(record: Mapping, bare: Mapping) -> Share:
     """The part of the bare victim's clean return that a record keeps: the ratio of the two means.
 
     Both are of the same episodes; the interval's episodes are drawn with both of their returns.
@@ -58,7 +58,7 @@ def kept(record: Mapping, bare: Mapping) -> Share:
     return _ratio([np.array(record["returns"][:n])], np.array(bare["returns"][:n]))
 
 
-def kept_on_average(records: Mapping[tuple[str, str], Mapping], bare: Mapping, timing: str = "always") -> Share | None:
+def on_average(records: Mapping[tuple[str, str], Mapping], bare: Mapping, timing: str = "always") -> Share | None:
     """The mean over the four attacks of what is kept, as the paper's table 2 averages; None if one is missing.
 
     Args:

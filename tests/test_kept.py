@@ -7,7 +7,7 @@ from test_attacked import record
 from detden_lite import artifacts, study
 from detden_lite.artifacts import ArtifactError
 from detden_lite.attacked import CLEAN
-from detden_lite.defended import kept, kept_on_average, load, worst
+from detden_lite.kept import load, of_clean, on_average, worst
 from detden_lite.runs import MAIN
 
 RNG = np.random.default_rng(0)
@@ -40,13 +40,13 @@ def test_the_worst_cell_is_attacked():
 def test_what_is_kept_is_a_ratio_of_means_over_the_same_episodes():
     """Episodes that differ widely, of all of which the same part is kept: the part is known better than the returns."""
     bare = RNG.normal(1_000, 300, 60)
-    part = kept(record(0.8 * bare), record(bare))
+    part = of_clean(record(0.8 * bare), record(bare))
     assert (part.mean, part.low, part.high) == pytest.approx((0.8, 0.8, 0.8)) and str(part) == "80% [80%, 80%]"
-    noisy = kept(record(0.8 * bare + RNG.normal(0, 50, 60)), record(bare))
+    noisy = of_clean(record(0.8 * bare + RNG.normal(0, 50, 60)), record(bare))
     assert noisy.low < 0.8 < noisy.high and noisy.high - noisy.low < 0.1
-    assert kept(record(0.5 * bare[:30]), record(bare)).mean == pytest.approx(0.5)  # of the episodes that both have
+    assert of_clean(record(0.5 * bare[:30]), record(bare)).mean == pytest.approx(0.5)  # of the episodes that both have
     with pytest.raises(ValueError, match="other episodes, from 5 and 8000000"):
-        kept(record(bare, first=5), record(bare))
+        of_clean(record(bare, first=5), record(bare))
 
 
 def test_the_average_over_the_attacks_needs_all_four():
@@ -54,7 +54,7 @@ def test_the_average_over_the_attacks_needs_all_four():
     records = {
         (attack, "always"): record(share * bare) for attack, share in zip(study.FOUR, (1, 0.5, 0.9, 0.8), strict=True)
     }
-    assert kept_on_average(records, record(bare)).mean == pytest.approx(0.8)
-    assert kept_on_average(records, record(bare), "vulnerable") is None
+    assert on_average(records, record(bare)).mean == pytest.approx(0.8)
+    assert on_average(records, record(bare), "vulnerable") is None
     del records["optimal", "always"]
-    assert kept_on_average(records, record(bare)) is None
+    assert on_average(records, record(bare)) is None
