@@ -5,10 +5,10 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from detden_lite import ablations, adversaries, durations, gallery, stages, study, sweeps, tables
+from detden_lite import ablations, adversaries, durations, gallery, own, stages, study, sweeps, tables
 from detden_lite.artifacts import ArtifactError
 from detden_lite.scales import ALGORITHMS, SCALES
-from detden_lite.tasks import TASKS
+from detden_lite.tasks import NAMES
 
 
 def parser() -> argparse.ArgumentParser:
@@ -19,7 +19,7 @@ def parser() -> argparse.ArgumentParser:
         "interruption, run it again and it goes on.",
     )
     victim, where = argparse.ArgumentParser(add_help=False), argparse.ArgumentParser(add_help=False)
-    victim.add_argument("--task", choices=TASKS, default="hopper", help="default: %(default)s")
+    victim.add_argument("--task", choices=NAMES, default="hopper", help="default: %(default)s")
     victim.add_argument(
         "--algo", choices=ALGORITHMS, default="td3", help="the victim's algorithm; default: %(default)s"
     )
@@ -68,6 +68,7 @@ def parser() -> argparse.ArgumentParser:
         help="default: all of them",
     )  # fmt: skip
     add("ablate", stages.ablate, "run the cells of ablations, baselines and ceilings")
+    add("defend", own.defend_victim, "defend the victim in one call, and evaluate it with the defence and without")
     add("epsilon", sweeps.epsilon, "attack at several sizes of the ball")
     add("planning", sweeps.planning, "run the enchanting attack with several planners")
     add("look", gallery.look, "record and film an episode, attacked and not (needs a GL driver)").add_argument(

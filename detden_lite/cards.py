@@ -9,7 +9,7 @@ import numpy as np
 from detden_lite import artifacts
 from detden_lite.metrics import Estimate
 from detden_lite.scales import ALGORITHMS
-from detden_lite.tasks import TASKS, Task
+from detden_lite.tasks import TASKS, Task, get_task
 
 ROWS = tuple((task, algo) for algo in ALGORITHMS for task in TASKS)  # of the paper's tables
 
@@ -97,7 +97,7 @@ class Card:
 
 def title(task: str, algo: str) -> str:
     """How the book calls a victim: "Hopper, TD3"."""
-    return f"{TASKS[task].env_id.removesuffix('-v5')}, {algo.upper()}"
+    return f"{get_task(task).env_id.removesuffix('-v5')}, {algo.upper()}"
 
 
 def load_card(task: str, algo: str, root: Path = artifacts.DATA) -> Card:
@@ -111,7 +111,7 @@ def load_card(task: str, algo: str, root: Path = artifacts.DATA) -> Card:
     try:
         recipe = {key: value for key, value in about["recipe"].items() if key not in ("task", "seed")}
         return Card(
-            task=TASKS[task],
+            task=get_task(task),
             algo=algo,
             returns=np.array(about["returns"]),
             estimate=Estimate(**about["estimate"]),
@@ -132,7 +132,7 @@ def load_card(task: str, algo: str, root: Path = artifacts.DATA) -> Card:
 
 
 def load_cards(root: Path = artifacts.DATA) -> dict[tuple[str, str], Card]:
-    """The cards of all victims that are shipped, by (task, algorithm), in the order of ``ROWS``."""
+    """The cards of the paper's victims that are shipped, by (task, algorithm), in the order of ``ROWS``."""
     return {row: load_card(*row, root) for row in ROWS if (root / "-".join(row) / "victim.json").exists()}
 
 

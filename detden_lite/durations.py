@@ -17,7 +17,7 @@ from detden_lite.victim_training import train_victim
 STAGES = (
     "victim", "select", "qfunction", "trajectories", "augmentation", "detector", "denoiser", "baselines", "threshold",
     "timing", "adversary", "choose", "linear", "attacks", "evaluation", "ablation", "look", "portrait",
-    "epsilon", "planning", "gallery",
+    "epsilon", "planning", "gallery", "defend",
 )  # fmt: skip
 RECORD = "durations.json"  # in data/
 

@@ -13,7 +13,7 @@ from detden_lite.attacks import OppositeAttack, QFunctionAttack
 from detden_lite.budget import Budget
 from detden_lite.defense import DetectAndDenoise
 from detden_lite.defense.augmentation import Trajectories
-from detden_lite.scales import Scale, get_scale
+from detden_lite.scales import DefenseScale, get_scale
 from detden_lite.study import Threat
 from detden_lite.tasks import Task, get_task
 from detden_lite.victims import Victim
@@ -58,7 +58,8 @@ class Run:
     root: Path
     task: Task
     algo: str
-    scale: Scale
+    scale: DefenseScale  # a Scale, for the stages that do more than to make a defence
+    ball: Budget | None = None  # None: the paper's, of the task's radius
 
     @classmethod
     def of(cls, root: Path, task: str, algo: str, scale: str) -> "Run":
@@ -72,7 +73,7 @@ class Run:
 
     @property
     def budget(self) -> Budget:
-        return Budget(self.task.epsilon)
+        return self.ball or Budget(self.task.epsilon)
 
     def forget_others(self, victim: Victim) -> None:
         """If the victim here is, or was, not this one: remove what was made of it, all but the victims' trainings."""

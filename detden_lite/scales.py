@@ -12,7 +12,7 @@ from detden_lite.victim_recipes import AdversaryRecipe, PPORecipe, TD3Recipe
 ALGORITHMS = ("td3", "ppo")
 SCALES = ("tiny", "lite", "paper")
 
-# What the shipped victims are trained with; the paper says nothing of its victims' training.
+# What the shipped victims are trained with; the paper says nothing of its victims' training. The last is not its own.
 _PPO = PPORecipe(envs=32, rollout=64, batch=128)
 VICTIMS = {
     ("hopper", "td3"): TD3Recipe(steps=500_000),
@@ -29,6 +29,9 @@ VICTIMS = {
     ("humanoid", "ppo"): PPORecipe(
         steps=8_192_000, net=256, activation="relu", learning_rate=1e-4, envs=32, rollout=64, batch=256, epochs=5,
         gamma=0.95, gae_lambda=0.9, clip=0.3, log_std=-2.0,
+    ),
+    ("swimmer", "ppo"): PPORecipe(
+        steps=1_024_000, learning_rate=6e-4, envs=4, rollout=1_024, batch=256, gamma=0.9999, gae_lambda=0.98
     ),
 }  # fmt: skip
 TINY_VICTIMS = {
@@ -71,57 +74,74 @@ TINY_ADVERSARIES = tuple(
 
 
 @dataclass(frozen=True)
-class Scale:
+class DefenseScale:
+    """Sizes of the making of a defence, whoever the victim is."""
+
+    defense: VAERecipe
+    trajectories: int
+    horizon: int  # the longest episode
+    attack_steps: int  # PGD steps
+
+
+@dataclass(frozen=True)
+class Scale(DefenseScale):
     """Sizes of one run of the whole pipeline."""
 
     victim: TD3Recipe | PPORecipe
     critic: QRecipe
-    defense: VAERecipe
     memoryless_epochs: int  # of the auto-encoder without memory
-    trajectories: int
-    horizon: int
     episodes: int  # of each reported cell
     planned_episodes: int  # of those whose attack plans, which takes long
-    attack_steps: int  # PGD steps
     planner: Mapping[str, int]  # arguments of ``CEMPlanner``
     planners: tuple[Mapping[str, int], ...]  # of the sweep of planners
     adversaries: tuple[AdversaryRecipe, ...]  # the grid of the optimal attack
     linear: LinearRecipe
 
 
+def defense_scale(name: str, task: Task) -> DefenseScale:
+    """The sizes of a defence at the scale called ``name``; a ValueError that lists the names otherwise."""
+    if name not in SCALES:
+        raise ValueError(f"unknown scale {name!r}; choose one of: {', '.join(SCALES)}")
+    if name == "tiny":
+        tiny = VAERecipe(hidden=16, layers=1, latent=8, epochs=2, batch=4, chunk=25)
+        return DefenseScale(tiny, trajectories=8, horizon=50, attack_steps=3)
+    sizes = dict(hidden=task.hidden, layers=task.layers, latent=task.latent, learning_rate=task.learning_rate)
+    return DefenseScale(
+        VAERecipe(**sizes, epochs=30 if name == "lite" else task.epochs, batch=task.batch),
+        trajectories=1_000 if name == "lite" else task.trajectories,
+        horizon=task.horizon,
+        attack_steps=20,
+    )
+
+
 def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
     """The scale called ``name`` for a victim; a ValueError that lists the names otherwise."""
     if algo not in ALGORITHMS:
         raise ValueError(f"unknown algorithm {algo!r}; choose one of: {', '.join(ALGORITHMS)}")
-    if name not in SCALES:
-        raise ValueError(f"unknown scale {name!r}; choose one of: {', '.join(SCALES)}")
+    if (task.name, algo) not in VICTIMS:
+        known = ", ".join(algo for name, algo in VICTIMS if name == task.name)
+        raise ValueError(f"algo: there is no recipe for {task.name} with {algo}; choose one of: {known or 'none'}")
+    sizes = vars(defense_scale(name, task))
     if name == "tiny":
         return Scale(
+            **sizes,
             victim=TINY_VICTIMS[algo],
             critic=QRecipe(episodes=16, net=32, epochs=3, batch=64),
-            defense=VAERecipe(hidden=16, layers=1, latent=8, epochs=2, batch=4, chunk=25),
             memoryless_epochs=1,
-            trajectories=8,
-            horizon=50,
             episodes=4,
             planned_episodes=2,
-            attack_steps=3,
             planner=TINY_PLANNER,
             planners=TINY_PLANNERS,
             adversaries=TINY_ADVERSARIES,
             linear=LinearRecipe(generations=2, population=8, elites=4, episodes=1),
         )
-    sizes = dict(hidden=task.hidden, layers=task.layers, latent=task.latent, learning_rate=task.learning_rate)
     return Scale(
+        **sizes,
         victim=VICTIMS[task.name, algo],
         critic=QRecipe(),
-        defense=VAERecipe(**sizes, epochs=30 if name == "lite" else task.epochs, batch=task.batch),
         memoryless_epochs=10,
-        trajectories=1_000 if name == "lite" else task.trajectories,
-        horizon=task.horizon,
         episodes=100,
         planned_episodes=50,
-        attack_steps=20,
         planner=PLANNER_OF.get(task.name, PLANNER),
         planners=PLANNERS,
         adversaries=LITE_ADVERSARIES if name == "lite" else PAPER_ADVERSARIES,

@@ -1,5 +1,6 @@
 """The recipe's stages. Each makes the files of one folder that are missing, so that running it again resumes it."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -96,10 +97,11 @@ def collect(run: Run, data: str) -> None:
                 save_shard(run, path, shard)
 
 
-def augment(run: Run, data: str) -> None:
+def augment(run: Run, data: str, parts: Sequence[str] = tuple(ADVERSARIAL)) -> None:
     """D_adv: every observation of D_normal under the opposite attack and under the Q-function attack, a folder each."""
     victim = run.victim()
-    for part, attack in ADVERSARIAL.items():
+    for part in parts:
+        attack = ADVERSARIAL[part]
         for index, (path, _) in enumerate(shards(run, f"normal-{data}", run.scale.trajectories)):
             target = path.parent.with_name(f"{part}-{data}") / path.name
             if not artifacts.is_made(target, run.root):
@@ -107,8 +109,15 @@ def augment(run: Run, data: str) -> None:
                 save_shard(run, target, augmentation.augment(load_shard(run, path), offline, seed=index))
 
 
-def train_detector(run: Run, data: str, seed: int = 0) -> None:
-    """Train on D_normal, and calibrate the threshold on held-out clean episodes."""
+def train_detector(run: Run, data: str, seed: int = 0, promise: bool = False) -> None:
+    """Train on D_normal, and calibrate the threshold on held-out clean episodes.
+
+    Args:
+        run: where.
+        data: which D_normal, a key of ``DATASETS``.
+        seed: of the training.
+        promise: take the conformal threshold, if there are episodes enough for one, and not the plain quantile.
+    """
     normal = load_trajectories(run, f"normal-{data}")
     model = train_gruvae(
         run.scale.defense, [(normal, normal)], seed, run.folder / "checkpoints" / f"detector-{data}.ckpt",
@@ -116,10 +125,11 @@ def train_detector(run: Run, data: str, seed: int = 0) -> None:
     )  # fmt: skip
     calibration = load_trajectories(run, "calibration")
     scores = clean_scores(Detector(model, np.inf), calibration)
-    conformal = conformal_threshold(np.split(scores, calibration.lengths.cumsum()[:-1]))
+    quantile, conformal = calibrate(scores), conformal_threshold(np.split(scores, calibration.lengths.cumsum()[:-1]))
     sidecar = dict(
         data=data, recipe=asdict(run.scale.defense), seed=seed, trajectories=len(normal),
-        threshold=calibrate(scores), conformal_threshold=conformal if np.isfinite(conformal) else None,
+        threshold=conformal if promise and np.isfinite(conformal) else quantile,
+        conformal_threshold=conformal if np.isfinite(conformal) else None,
         calibration_quantiles=_quantiles(scores),
     )  # fmt: skip
     artifacts.save_model(run.task.name, run.algo, f"detector-{data}", model, sidecar, run.root)
@@ -174,12 +184,17 @@ def tune_timing(run: Run) -> None:
 
 def evaluate(run: Run, defenses=("none", MAIN), attacks=("none", *study.ATTACKS)) -> None:
     """Every cell of the tables with these defences and attacks, a record each."""
-    victim, threat = run.victim(), run.threat()
+    run_cells(run, [cell for cell in cells(defenses) if cell.attack in attacks], run.threat())
+
+
+def run_cells(run: Run, wanted: Iterable[study.Cell], threat: study.Threat) -> None:
+    """Run these cells of the run's victim on the report's episodes, a record each; what is there is left as it is."""
+    victim = run.victim()
     unattacked: dict[str, Episodes] = {}  # of the defence at hand: what its attacked cells are compared with
-    for cell in cells(defenses):
+    for cell in wanted:
         name = cell.record_name(run.task.name, run.algo)
         path = run.root / "results" / f"{name}.json"
-        if cell.attack not in attacks or artifacts.is_made(path, run.root):
+        if artifacts.is_made(path, run.root):
             continue
         defense = None if cell.defense == "none" else ablations.load(run, cell.defense)
         seeds = study.seeds("report", run.scale.episodes)

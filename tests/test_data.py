@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from detden_lite import artifacts, stages
+from detden_lite import artifacts, cards, stages
 from detden_lite.metrics import estimate
 from detden_lite.rollout import rollout
 from detden_lite.study import Threat, run_cell, seeds
@@ -28,8 +28,9 @@ DEFENSES = [
     for variant in stages.VARIANTS
     if (DATA / folder / f"denoiser-{variant}.safetensors").exists()
 ]
-TABLES = sorted({folder for folder, _ in DEFENSES})
-ATTACKED = sorted({name.split(".")[0] for name in RECORDS})
+PAPERS = {"-".join(row) for row in cards.ROWS}
+TABLES = sorted({folder for folder, _ in DEFENSES} & PAPERS)
+ATTACKED = sorted({name.split(".")[0] for name in RECORDS} & PAPERS)
 MODELS = sorted(path.relative_to(DATA).as_posix() for path in DATA.glob("*/de*.safetensors"))
 
 
@@ -68,7 +69,8 @@ def test_every_victim_walks_as_its_card_says(folder):
     episodes = rollout(victim, get_task(task), seeds("report", 4), steps=125)
     assert episodes.mask.all()
     obs = torch.from_numpy(episodes.obs[0])
-    assert victim.value(obs).isfinite().all() and victim.q(obs, victim(obs)).isfinite().all()
+    assert victim.value(obs).isfinite().all()
+    assert folder not in PAPERS or victim.q(obs, victim(obs)).isfinite().all()
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -104,7 +106,7 @@ def test_every_summary_is_that_of_the_records_own_returns(name):
 def test_every_record_is_of_the_models_that_are_shipped(name):
     folder = name.split(".")[0]
     found, (task, algo) = record(name), folder.split("-")
-    timing = artifacts.read_json(DATA / folder / "timing.json", DATA)
+    timing = artifacts.read_json(DATA / folder / "timing.json", DATA) if folder in PAPERS else {}
     variant = found["cell"]["defense"]
     if variant != "none":
         threshold = artifacts.load_defense(task, algo, variant, DATA).detector.threshold

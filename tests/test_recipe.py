@@ -23,9 +23,9 @@ from detden_lite.tasks import TASKS
 DATA = ROOT / "data"
 ROWS = [f"{task}-{algo}" for algo in ALGORITHMS for task in TASKS]
 JOBS = dict(
-    victim=12, select=10, qfunction=5, trajectories=11, augmentation=11, detector=11, timing=10,
+    victim=13, select=11, qfunction=5, trajectories=11, augmentation=11, detector=11, timing=10,
     choose=10, linear=10, attacks=10, evaluation=10, table=1, look=10, portrait=10,
-    epsilon=1, planning=1, gallery=1, baselines=1, threshold=1, ablation=1, all=1,
+    epsilon=1, planning=1, gallery=1, defend=1, baselines=1, threshold=1, ablation=1, all=1,
 )  # fmt: skip
 
 
@@ -58,7 +58,7 @@ def refuse(folder: Path, *arguments) -> str:
 
 
 def jobs(scale: str) -> dict[str, int]:
-    """How many jobs of each rule a scale plans for all ten rows."""
+    """How many jobs of each rule a scale plans for all ten rows, and for the one that is not the paper's."""
     config = yaml.safe_load((DATA / "config" / f"{scale}.yaml").read_text())
     variants = [config["variants"].get(row, config["variants"]["default"]) for row in ROWS]
     return JOBS | dict(denoiser=sum(map(len, variants)), adversary=len(ROWS) * config["adversaries"])
@@ -73,14 +73,15 @@ def planned(printed: str) -> dict[str, int]:
 @pytest.mark.parametrize("scale", SCALES)
 def test_every_scale_plans_the_whole_graph_for_all_ten_rows(tmp_path, scale):
     config = yaml.safe_load((DATA / "config" / f"{scale}.yaml").read_text())
-    assert config["scale"] == scale and config["rows"] == ROWS
+    assert config["scale"] == scale and config["rows"] == ROWS and config["own"] == ["swimmer-ppo"]
     printed = run(tmp_path, "--dry-run", "--printshellcmds", scale=scale)
     members = [len(get_scale(scale, TASKS[row.split("-")[0]], row.split("-")[1]).adversaries) for row in ROWS]
     assert planned(printed) == jobs(scale) and sum(members) == jobs(scale)["adversary"]
     assert set(re.findall(r"--member (\d+)", printed)) == {str(member) for member in range(max(members))}
     assert set(re.findall(r"--scale (\w+)", printed)) == {scale}
     named = re.findall(r"detden_lite victim --task (\w+) --algo (\w+) .*--seed (\d)", printed)
-    assert sorted(named) == sorted([*((*row.split("-"), "0") for row in ROWS), *(("hopper", "td3", s) for s in "12")])
+    expected = [(*row.split("-"), "0") for row in (*ROWS, "swimmer-ppo")] + [("hopper", "td3", s) for s in "12"]
+    assert sorted(named) == sorted(expected)
 
 
 # The plug-ins of the clusters are not installed here, so that the executor is that of dry runs; Kubernetes' storage is
@@ -114,6 +115,8 @@ def test_a_row_may_be_asked_for_alone_and_without_films(tmp_path):
         adversary=4, choose=2, linear=2, attacks=2, evaluation=2, table=1, epsilon=1,
         planning=1, baselines=1, threshold=1, ablation=1, all=1,
     )  # fmt: skip
+    own = planned(run(tmp_path, "--dry-run", "--config", "only=swimmer-ppo"))
+    assert own == dict(victim=1, select=1, defend=1, all=1)
 
 
 def test_only_what_is_worth_it_is_published(tmp_path):
@@ -208,7 +211,7 @@ def test_a_run_makes_everything_of_its_row(killed):
 def test_how_long_the_stages_took_is_measured(killed):
     record = durations.measure(killed[0])
     assert set(record["rows"]["hopper-ppo"]) == set(durations.STAGES) - {
-        "look", "portrait", "epsilon", "planning", "gallery", "baselines", "threshold", "ablation",
+        "look", "portrait", "epsilon", "planning", "gallery", "defend", "baselines", "threshold", "ablation",
     }  # fmt: skip
     spent = record["rows"]["hopper-ppo"]
     assert all(stage["wall_seconds"] > 0 for stage in spent.values())

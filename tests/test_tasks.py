@@ -2,10 +2,10 @@ import gymnasium
 import pytest
 
 from detden_lite.scales import get_scale
-from detden_lite.tasks import TASKS, get_task
+from detden_lite.tasks import NAMES, TASKS, get_task
 
 
-@pytest.mark.parametrize("name", TASKS)
+@pytest.mark.parametrize("name", NAMES)
 def test_a_task_is_what_gymnasium_makes_of_it(name):
     task = get_task(name)
     env = gymnasium.make(task.env_id)
@@ -16,10 +16,12 @@ def test_a_task_is_what_gymnasium_makes_of_it(name):
 
 
 def test_unknown_names_are_answered_with_the_known_ones():
-    with pytest.raises(ValueError, match="hopper, walker2d, halfcheetah, ant, humanoid"):
+    with pytest.raises(ValueError, match="hopper, walker2d, halfcheetah, ant, humanoid, swimmer"):
         get_task("Hopper")
     with pytest.raises(ValueError, match="tiny, lite, paper"):
         get_scale("huge", get_task("hopper"))
+    with pytest.raises(ValueError, match="no recipe for swimmer with td3; choose one of: ppo"):
+        get_scale("lite", get_task("swimmer"))
 
 
 @pytest.mark.parametrize("name", TASKS)

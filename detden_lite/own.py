@@ -1,0 +1,161 @@
+"""One call from a frozen policy to a defended one: the recipe's stages, for whoever brings a policy."""
+
+import re
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium.envs.mujoco import MujocoEnv
+
+from detden_lite import artifacts, stages
+from detden_lite.budget import Budget
+from detden_lite.defended import Defended
+from detden_lite.runs import VARIANTS, Run
+from detden_lite.scales import DefenseScale, defense_scale
+from detden_lite.simulator import make
+from detden_lite.study import Cell
+from detden_lite.tasks import TASKS, Task
+from detden_lite.victims import Victim
+
+DATA = "diverse"  # the exploration in D_normal
+
+
+def defend(
+    victim,
+    env: str | gymnasium.Env,
+    budget: Budget,
+    scale: str | DefenseScale = "lite",
+    folder: str | Path = "defended",
+    vecnormalize=None,
+    seed: int = 0,
+) -> Defended:
+    """Make a defence of a frozen policy, or what is missing of it, and the policy behind that defence.
+
+    D_normal is collected with exploration, and attacked offline by the opposite attack, and by the Q-function attack if
+    the victim has a critic; detector and residual denoiser are trained on it; the threshold is the conformal one, or
+    the 99 % quantile if there are too few held-out episodes to promise anything. All goes into
+    ``folder/<task>-<algorithm>``, laid out as data/ is. A call that was killed goes on when it is made again, and one
+    that was not loads what is there; a file that was altered since is made anew.
+
+    Args:
+        victim: a stable-baselines3 (or sbx-rl) TD3 or PPO model, or a ``Victim``.
+        env: where it acts: the id of a gymnasium MuJoCo task, or an environment made of nothing but its id.
+        budget: what the attacker may do, in raw units of the observations.
+        scale: "tiny" for a try (seconds), "lite" for what the book ships, "paper" for the paper's sizes, or sizes.
+        folder: where everything is kept, of one policy for each task and algorithm.
+        vecnormalize: the ``VecNormalize`` that a model was trained in, if any.
+        seed: of the trainings.
+
+    Raises:
+        ValueError: if the policy or the task is of a kind that cannot be defended, they do not fit each other, or the
+            folder holds the defence of another victim or one of other settings.
+        ArtifactError: if the disk is full.
+    """
+    if not isinstance(budget, Budget):
+        raise ValueError(f"budget: give a detden_lite.budget.Budget, such as Budget(0.1), not {budget!r}")
+    if not isinstance(victim, Victim):
+        victim = Victim.from_sb3(victim, vecnormalize)
+    task = task_of(env, budget)
+    _check_fit(victim, task)
+    sizes = defense_scale(scale, task) if isinstance(scale, str) else scale
+    run = Run(Path(folder), task, "td3" if victim.action_std is None else "ppo", sizes, budget)
+    _claim(run, victim, seed)
+
+    variant = variant_of(victim)
+    detector, denoiser = (run.folder / f"{name}.safetensors" for name in (f"detector-{DATA}", f"denoiser-{variant}"))
+    if not (artifacts.is_made(detector, run.root) and artifacts.is_made(denoiser, run.root)):
+        stages.collect(run, DATA)
+        stages.augment(run, DATA, VARIANTS[variant].adversarial)
+    if not artifacts.is_made(detector, run.root):
+        stages.train_detector(run, DATA, seed, promise=True)
+    if not artifacts.is_made(denoiser, run.root):
+        stages.train_denoiser(run, variant, seed)
+    return Defended(victim, task, run.defense(variant))
+
+
+def variant_of(victim: Victim) -> str:
+    """The variant of the defence: the denoiser of a victim with a critic learns from the Q-function attack as well."""
+    return "both" if len(victim.critics) else "residual"
+
+
+def task_of(env: str | gymnasium.Env, budget: Budget) -> Task:
+    """The task that an environment is, or the id of one.
+
+    Raises:
+        ValueError: if it is none of gymnasium's MuJoCo tasks with vectors as observations and a Box of actions, or was
+            made with arguments or wrappers: another one is made from its id, which would be different.
+    """
+    try:
+        spec = gymnasium.spec(env) if isinstance(env, str) else getattr(env, "spec", None)
+        registered = spec and gymnasium.spec(spec.id)
+    except gymnasium.error.Error as error:
+        raise ValueError(f"env: {error}") from None
+    if spec is None:
+        raise ValueError("env: it has no spec; register it with gymnasium, and give its id")
+    changes = [wrapper.name for wrapper in spec.additional_wrappers]
+    changes += [name for name in spec.kwargs if registered.kwargs.get(name) != spec.kwargs[name]]
+    if changes:
+        raise ValueError(
+            f"env: it is {spec.id} with {', '.join(changes)}, which its id does not tell; register what it is under an "
+            f"id of its own, or give {spec.id!r} if they change neither observations nor actions"
+        )
+    world = make(spec.id)
+    for what, space in (("observations", world.observation_space), ("actions", world.action_space)):
+        if not isinstance(space, gymnasium.spaces.Box) or len(space.shape) != 1:
+            raise ValueError(f"env: the {what} of {spec.id} must be vectors (a Box of one axis), not {space}")
+    if not isinstance(world.unwrapped, MujocoEnv):
+        raise ValueError(f"env: {spec.id} is no MuJoCo task of gymnasium, and no other can be simulated in lockstep")
+    obs_dim, action_dim = world.observation_space.shape[0], world.action_space.shape[0]
+    if torch.as_tensor(budget.scale).numel() not in (1, obs_dim):
+        raise ValueError(f"budget: its scale must be one number or {obs_dim}, one for each observation of {spec.id}")
+    name = re.sub("[^a-z0-9]", "", spec.name.lower())  # of a folder
+    paper = {task.env_id: task for task in TASKS.values()}  # which has larger networks for its larger tasks
+    task = paper.get(spec.id, Task(name, spec.id, 0.0, obs_dim, action_dim))
+    return replace(task, epsilon=budget.epsilon, horizon=spec.max_episode_steps or task.horizon)
+
+
+def _check_fit(victim: Victim, task: Task) -> None:
+    space = make(task.env_id).action_space
+    if (victim.obs_dim, victim.action_dim) != (task.obs_dim, task.action_dim):
+        raise ValueError(
+            f"victim: it maps {victim.obs_dim} observations to {victim.action_dim} actions, "
+            f"but {task.env_id} has {task.obs_dim} and {task.action_dim}; give the task that it was trained for"
+        )
+    low, high = victim.action_low.numpy(), victim.action_high.numpy()
+    if not (np.allclose(low, space.low) and np.allclose(high, space.high)):
+        raise ValueError(
+            f"victim: its actions lie between {low} and {high}, those of {task.env_id} between {space.low} and "
+            f"{space.high}; give the task that it was trained for, without a wrapper that changes the actions"
+        )
+
+
+def _claim(run: Run, victim: Victim, seed: int) -> None:
+    """Keep the victim and the settings in the run's folder; a ValueError if it is there for others."""
+    path, kept, ball, sizes = run.folder / "defend.json", run.folder / "victim.safetensors", run.budget, vars(run.scale)
+    settings = dict(
+        victim=artifacts.digest(victim.state_dict()), env_id=run.task.env_id,
+        epsilon=ball.epsilon, norm=str(ball.norm), scale=torch.as_tensor(ball.scale).tolist(),
+        sizes={field.name: sizes[field.name] for field in fields(DefenseScale)}, seed=seed,
+    )  # fmt: skip
+    settings["sizes"]["defense"] = asdict(run.scale.defense)
+    known = artifacts.read_json(path, run.root) if artifacts.is_made(path, run.root) else {}
+    if artifacts.is_made(kept, run.root):
+        known["victim"] = artifacts.digest(run.victim().state_dict())
+    if other := [name for name in known if settings.get(name) != known[name]]:
+        raise ValueError(
+            f"folder: {run.folder} holds the defence of another {', '.join(other)}; give another folder, or remove it"
+        )
+    if not artifacts.is_made(kept, run.root):
+        artifacts.save_victim(run.task.name, run.algo, victim, dict(env_id=run.task.env_id), run.root)
+    if not artifacts.is_made(path, run.root):
+        artifacts.write_json(path, settings, run.root)
+
+
+def defend_victim(run: Run) -> None:
+    """Defend a victim of the recipe in this one call, and write its records: clean, under noise and under attack."""
+    victim = run.victim()
+    defend(victim, run.task.env_id, run.budget, run.scale, run.root)
+    defenses, attacks = ("none", variant_of(victim)), ("none", "uniform", "opposite")
+    stages.run_cells(run, [Cell(a, defense=d) for d in defenses for a in attacks], run.untimed_threat)
