@@ -15,11 +15,13 @@ from detden_lite.defended import Defended
 from detden_lite.runs import VARIANTS, Run
 from detden_lite.scales import DefenseScale, defense_scale
 from detden_lite.simulator import make
-from detden_lite.study import Cell
+from detden_lite.study import Cell, seeds
+from detden_lite.sweeps import over_sizes
 from detden_lite.tasks import TASKS, Task
 from detden_lite.victims import Victim
 
 DATA = "diverse"  # the exploration in D_normal
+SIZES = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0)  # of the ball, in units of the one that was defended against
 
 
 def defend(
@@ -43,7 +45,8 @@ def defend(
         victim: a stable-baselines3 (or sbx-rl) TD3 or PPO model, or a ``Victim``.
         env: where it acts: the id of a gymnasium MuJoCo task, or an environment made of nothing but its id.
         budget: what the attacker may do, in raw units of the observations.
-        scale: "tiny" for a try (seconds), "lite" for what the book ships, "paper" for the paper's sizes, or sizes.
+        scale: "tiny" for a try (seconds), "lite" for what the book ships, "paper" for the paper's sizes, or sizes of
+            your own: see ``detden_lite.scales.defense_scale``.
         folder: where everything is kept, of one policy for each task and algorithm.
         vecnormalize: the ``VecNormalize`` that a model was trained in, if any.
         seed: of the trainings.
@@ -59,7 +62,7 @@ def defend(
         victim = Victim.from_sb3(victim, vecnormalize)
     task = task_of(env, budget)
     _check_fit(victim, task)
-    sizes = defense_scale(scale, task) if isinstance(scale, str) else scale
+    sizes = scale if isinstance(scale, DefenseScale) else defense_scale(scale, task)
     run = Run(Path(folder), task, "td3" if victim.action_std is None else "ppo", sizes, budget)
     _claim(run, victim, seed)
 
@@ -154,8 +157,19 @@ def _claim(run: Run, victim: Victim, seed: int) -> None:
 
 
 def defend_victim(run: Run) -> None:
-    """Defend a victim of the recipe in this one call, and write its records: clean, under noise and under attack."""
+    """Defend a victim of the recipe in this one call, and write down how that went, with the defence and without.
+
+    Records of it clean, under noise and attacked, and ``sizes.json``: noise and attack at several sizes of the ball.
+    """
     victim = run.victim()
-    defend(victim, run.task.env_id, run.budget, run.scale, run.root)
-    defenses, attacks = ("none", variant_of(victim)), ("none", "uniform", "opposite")
-    stages.run_cells(run, [Cell(a, defense=d) for d in defenses for a in attacks], run.untimed_threat)
+    defended = defend(victim, run.task.env_id, run.budget, run.scale, run.root)
+    defenses, attacks = {"none": None, variant_of(victim): defended.defense}, ("uniform", "opposite")
+    cells = [Cell(attack, defense=name) for name in defenses for attack in ("none", *attacks)]
+    stages.run_cells(run, cells, run.untimed_threat)
+    path = run.folder / "sizes.json"
+    if not artifacts.is_made(path, run.root):
+        settings = (run.task, victim, run.untimed_threat, seeds("report", run.scale.episodes), attacks, SIZES)
+        found = {
+            name: over_sizes(*settings, steps=run.scale.horizon, defense=defense) for name, defense in defenses.items()
+        }
+        artifacts.write_json(path, found, run.root)

@@ -29,6 +29,7 @@ def over_sizes(
     attacks: Sequence[str] = ("uniform", "opposite", "qfunction"),
     sizes: Sequence[float] = SIZES,
     steps: int | None = None,
+    defense=None,
 ) -> dict:
     """Attack always, at several sizes of the ball.
 
@@ -40,6 +41,7 @@ def over_sizes(
         attacks: names of attacks that ``threat`` knows.
         sizes: factors of the radius.
         steps: the longest an episode may be; the task's horizon by default.
+        defense: what stands before the policy; None for nothing.
 
     Returns:
         Ready for JSON: for each attack a row for each size, with the returns of all episodes.
@@ -50,7 +52,7 @@ def over_sizes(
             for size in sizes:
                 budget = replace(threat.budget, epsilon=size * threat.budget.epsilon)
                 made = replace(threat, budget=budget).attack(attack, victim, task)
-                returns = rollout(victim, task, episode_seeds, attack=made, steps=steps).returns
+                returns = rollout(victim, task, episode_seeds, attack=made, defense=defense, steps=steps).returns
                 found[attack].append(dict(epsilon=budget.epsilon, **_of(returns)))
                 bar.update()
     return dict(attacks=found, seeds=[int(episode_seeds[0]), len(episode_seeds)])

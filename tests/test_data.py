@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 import torch
 
-from detden_lite import artifacts, cards, stages
+from detden_lite import artifacts, cards, defend, stages
+from detden_lite.budget import Budget
 from detden_lite.metrics import estimate
 from detden_lite.rollout import rollout
-from detden_lite.study import Threat, run_cell, seeds
-from detden_lite.tasks import get_task
+from detden_lite.study import Cell, Threat, run_cell, seeds
+from detden_lite.tasks import SWIMMER, get_task
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 if not (DATA / "manifest.json").exists():
@@ -136,6 +137,31 @@ def test_no_attack_on_a_victim_is_half_recorded(folder):
     card = artifacts.read_json(DATA / folder / "victim.json", DATA)["estimate"]
     clean = record(f"{folder}.none.always.none")["estimate"]
     assert abs(clean["mean"] - card["mean"]) <= max(card["high"] - card["low"], 1e-6 * card["mean"])
+
+
+def test_the_policy_that_is_not_the_papers_is_defended_by_the_one_call_and_does_again_what_its_records_tell():
+    """Swimmer never falls, and does not magnify rounding: the returns of two report episodes."""
+    before = {path: path.stat().st_mtime_ns for path in DATA.rglob("*")}
+    victim = artifacts.load_victim("swimmer", "ppo", DATA)
+    defended = defend(victim, "Swimmer-v5", Budget(SWIMMER.epsilon), "lite", DATA)
+    assert {path: path.stat().st_mtime_ns for path in DATA.rglob("*")} == before
+    threat = Threat(Budget(SWIMMER.epsilon), steps=20)
+    for attack, name in (("none", "residual"), ("uniform", "none"), ("opposite", "none"), ("opposite", "residual")):
+        defense = defended.defense if name == "residual" else None
+        _, episodes = run_cell(Cell(attack, defense=name), SWIMMER, victim, threat, defense, seeds("report", 2))
+        told = record(f"swimmer-ppo.{attack}.always.{name}")
+        assert episodes.returns == pytest.approx(told["returns"][:2], abs=0.2 * told["estimate"]["mean"])
+
+
+@pytest.mark.parametrize("name", ["none", "residual"])
+def test_the_sweep_over_sizes_of_that_policy_agrees_with_its_records(name):
+    sweep = artifacts.read_json(DATA / "swimmer-ppo" / "sizes.json", DATA)[name]
+    assert sweep["seeds"] == [seeds("report", 1)[0], 100]
+    for attack, rows in sweep["attacks"].items():
+        assert all(row["estimate"] == pytest.approx(asdict(estimate(row["returns"]))) for row in rows)
+        for epsilon, told in ((0.0, "none"), (SWIMMER.epsilon, attack)):
+            (found,) = [row["returns"] for row in rows if row["epsilon"] == epsilon]
+            assert found == pytest.approx(record(f"swimmer-ppo.{told}.always.{name}")["returns"])
 
 
 @pytest.mark.parametrize("folder", TABLES)

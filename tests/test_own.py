@@ -10,7 +10,7 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
-from builders import normal
+from builders import make_victim, normal
 from stable_baselines3 import PPO, TD3
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.monitor import Monitor
@@ -18,10 +18,12 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 import detden_lite
 from detden_lite import artifacts
+from detden_lite.__main__ import main
 from detden_lite.budget import Budget
 from detden_lite.own import task_of
 from detden_lite.runs import Run, load_trajectories, save_shard
 from detden_lite.scales import defense_scale
+from detden_lite.tasks import SWIMMER
 from detden_lite.victims import Victim
 
 BUDGET = Budget(0.05)
@@ -201,3 +203,22 @@ def test_the_package_itself_loads_nothing_and_defending_needs_no_trainer():
     assert "detden_lite.own" in loaded and not {"stable_baselines3", "sbx", "jax", "matplotlib"} & set(loaded)
     with pytest.raises(AttributeError, match="defense_of"):
         detden_lite.defense_of  # noqa: B018
+
+
+def test_the_stage_of_the_recipe_defends_its_victim_and_writes_down_how_that_went_once(tmp_path):
+    artifacts.save_victim("swimmer", "ppo", make_victim(SWIMMER, gaussian=True), {}, tmp_path)
+    stage = ["defend", "--task", "swimmer", "--algo", "ppo", "--scale", "tiny", "--root", str(tmp_path)]
+    main(stage)
+    records = {path.stem for path in (tmp_path / "results").glob("*.json")}
+    assert records == {
+        f"swimmer-ppo.{a}.always.{d}" for a in ("none", "uniform", "opposite") for d in ("none", "residual")
+    }
+    sweep = artifacts.read_json(tmp_path / "swimmer-ppo" / "sizes.json", tmp_path)
+    for name, found in sweep.items():
+        for attack, rows in found["attacks"].items():
+            (at_full,) = [row["returns"] for row in rows if row["epsilon"] == SWIMMER.epsilon]
+            told = artifacts.load_record(f"swimmer-ppo.{attack}.always.{name}", tmp_path)
+            assert at_full == told["returns"] and len(at_full) == 4
+    before = contents(tmp_path)
+    main(stage)
+    assert contents(tmp_path) == before
