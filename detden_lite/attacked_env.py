@@ -16,7 +16,8 @@ class AttackedObservations(gymnasium.Wrapper, RecordConstructorArgs):
     with a seed is attacked as ``rollout`` attacks the episode of that seed.
 
     Args:
-        env: one environment of the attack's victim; its observations are vectors.
+        env: one environment of the attack's victim; its observations are vectors, and raw: a ``VecNormalize`` belongs
+            around this wrapper.
         attack: see ``detden_lite.attacks``. It belongs to this environment alone: it remembers the episode.
         timing: when to attack; always by default.
 

@@ -45,8 +45,8 @@ def defend(
         victim: a stable-baselines3 (or sbx-rl) TD3 or PPO model, or a ``Victim``.
         env: where it acts: the id of a gymnasium MuJoCo task, or an environment made of nothing but its id.
         budget: what the attacker may do, in raw units of the observations.
-        scale: "tiny" for a try (seconds), "lite" for what the book ships, "paper" for the paper's sizes, or sizes of
-            your own: see ``detden_lite.scales.defense_scale``.
+        scale: "tiny" for a try (seconds), "lite" for what the book ships (tens of minutes), "paper" for the paper's
+            sizes, or sizes of your own: see ``detden_lite.scales.defense_scale``.
         folder: where everything is kept, of one policy for each task and algorithm.
         vecnormalize: the ``VecNormalize`` that a model was trained in, if any.
         seed: of the trainings.
