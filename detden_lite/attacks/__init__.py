@@ -3,6 +3,9 @@ an episode; and ``attack(obs, world) -> perturbed``, all ``[N, obs_dim]``.
 
 What can be needed: "policy" (with its gradients), "critic", "simulator" (the world's present state), "defense" (its
 networks and memory), and "adversary" (a policy that was learned before, on the victim as a black box in the simulator).
+
+Those that need the defense are in ``attacks.printed`` and ``attacks.adaptive``, and are imported from there: the rest
+of this package knows no defence.
 """
 
 from detden_lite.attacks.enchanting import EnchantingAttack

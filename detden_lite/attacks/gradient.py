@@ -1,7 +1,7 @@
 """Attacks that climb an objective of their own by projected gradient ascent."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
@@ -46,5 +46,8 @@ class GradientAttack(ABC):
     def __call__(self, obs: Tensor, world=None) -> Tensor:
         """Perturbed observations ``[N, obs_dim]``; rows that the world does not want come back as they are."""
         wanted = torch.ones(len(obs), dtype=torch.bool) if world is None else torch.from_numpy(world.wanted)
-        objective = self.objective(obs[wanted], world)
+        return self.ascend(self.objective(obs[wanted], world), obs, wanted)
+
+    def ascend(self, objective: Callable[[Tensor], Tensor], obs: Tensor, wanted: Tensor) -> Tensor:
+        """The ascent on an objective of the wanted rows, with this attack's steps, restarts and random starts."""
         return ascend(objective, obs, self.budget, self.draws, self.steps, restarts=self.restarts, wanted=wanted)

@@ -1,0 +1,152 @@
+"""An attacker who knows the defence: what he sees of it at one step, with gradients (section 4.5).
+
+He knows the networks, what they remember, and the threshold. The noise of their latents he does not know: he draws K
+samples of his own, and expects what is their mean (expectation over transformation, Athalye et al., 2018).
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from detden_lite.attacks.gradient import GradientAttack
+from detden_lite.defense import GRUVAE, DetectAndDenoise
+from detden_lite.draws import Draws, derived_seed
+
+
+@dataclass(frozen=True)
+class View:
+    """A defence at one step, for n rows and K latent samples. Nothing that is asked of it changes its memory.
+
+    Args:
+        reconstruct: det(.), from perturbed observations ``[n, obs_dim]`` to reconstructions ``[K, n, obs_dim]``.
+        denoise: den(.), likewise.
+        scale: units of the detector's score, a number or ``[obs_dim]``.
+        threshold: C_anomaly; an alarm is a score above it.
+    """
+
+    reconstruct: Callable[[Tensor], Tensor]
+    denoise: Callable[[Tensor], Tensor]
+    scale: Tensor | float
+    threshold: float
+
+    def deviation(self, perturbed: Tensor) -> Tensor:
+        """|o_hat - det(o_hat)| in units of ``scale``, ``[K, n, obs_dim]``: its largest over obs_dim is the score."""
+        return ((perturbed - self.reconstruct(perturbed)) / self.scale).abs()
+
+
+def one_step(part, rows: Tensor, noise: Tensor | None) -> Callable[[Tensor], Tensor]:
+    """What a ``Detector`` or ``Denoiser`` puts out at its next step, as a function of what it is shown.
+
+    Args:
+        part: the detector or denoiser, whose memory stays as it is.
+        rows: which of its episodes, ``[N]`` bool, n of them.
+        noise: of the latent, standard normal ``[K, n, latent_dim]``; None for the latent's mean, which makes K 1.
+
+    Returns:
+        A function from ``[n, obs_dim]`` to ``[K, n, obs_dim]``, with a gradient.
+    """
+    samples = 1 if noise is None else len(noise)
+    state = part.state and tuple(memory[:, rows].repeat(1, samples, 1) for memory in part.state)
+    noise = None if noise is None else noise.flatten(0, 1)[:, None]
+
+    def step(obs: Tensor) -> Tensor:
+        output = part.model(obs.repeat(samples, 1)[:, None], noise, state).output
+        return output.reshape(samples, *obs.shape)
+
+    return step
+
+
+def look(defense: DetectAndDenoise, rows: Tensor, draws: Draws, samples: int) -> View:
+    """The view of a defence of two GRU-VAEs.
+
+    Args:
+        defense: with its memory as it is before this observation.
+        rows: the attacked ones of its N episodes, ``[N]`` bool, n of them.
+        draws: the attacker's, of n rows.
+        samples: K, latent samples of each row.
+
+    Raises:
+        ValueError: if detector or denoiser is no GRU-VAE.
+    """
+
+    def through(part) -> Callable[[Tensor], Tensor]:
+        model = getattr(part, "model", None)
+        if not isinstance(model, GRUVAE):
+            raise ValueError(
+                f"defense: its {type(part).__name__} is no GRU-VAE; give the attack a look of your own, which makes a "
+                "View of it"
+            )
+        if not part.sample:
+            return one_step(part, rows, None)
+        n = int(rows.sum())
+        noise = draws.normal(n * samples, model.latent_dim).reshape(n, samples, -1)
+        return one_step(part, rows, noise.transpose(0, 1))
+
+    reconstruct = through(defense.detector)
+    denoise = reconstruct if defense.denoiser is None else through(defense.denoiser)
+    budget = defense.budget
+    return View(
+        reconstruct,
+        denoise if budget is None else lambda obs: budget.project(obs, denoise(obs)),
+        defense.detector.model.obs_std,
+        -torch.inf if defense.always else defense.detector.threshold,  # what is always denoised is always alarming
+    )
+
+
+class InformedAttack(ABC):
+    """An attack that knows policy and defence.
+
+    Args:
+        attack: the attack that does not know the defence: what it calls damage is damage here too.
+        seed: of the attacker's draws.
+        look: how to see a defence; see the function ``look``.
+    """
+
+    def __init__(self, attack: GradientAttack, seed: int = 0, look: Callable[..., View] = look):
+        self.attack, self.seed, self.look, self.budget = attack, seed, look, attack.budget
+        self.needs = attack.needs | {"defense"}
+        self.policy = attack.victim.straight_through if attack.clips else attack.victim.mean
+
+    @property
+    @abstractmethod
+    def settings(self) -> dict:
+        """What a result record says of it."""
+
+    @abstractmethod
+    def perturb(self, obs: Tensor, wanted: Tensor, world, look: Callable[[int], View], draws: Draws) -> Tensor:
+        """The perturbed observations ``[N, obs_dim]``.
+
+        Args:
+            obs: true observations ``[N, obs_dim]``.
+            wanted: whose perturbed observation will be used, ``[N]`` bool, n > 0 of them.
+            world: what ``rollout`` hands to the attack.
+            look: gives a view of the defence for the n rows and so many samples, new ones at every call.
+            draws: of the n rows.
+        """
+
+    def reset(self, episodes: Sequence[int] | None = None) -> None:
+        """Begin new episodes, one seed each; None for offline use on any number of rows."""
+        self.attack.reset(episodes)
+        self.episodes, self.step = None if episodes is None else np.asarray(episodes), 0
+
+    @torch.no_grad()
+    def __call__(self, obs: Tensor, world=None) -> Tensor:
+        """Perturbed observations ``[N, obs_dim]``; rows that the world does not want come back as they are.
+
+        Raises:
+            ValueError: if there is no defence.
+        """
+        defense = getattr(world, "defense", None)
+        if defense is None:
+            raise ValueError("world: it has no defense to adapt to; give one, or use the attack without adaptation")
+        # Every step has streams of its own, so that what one draws, and for whom, changes nothing in another.
+        seed, self.step = derived_seed(self.seed, self.step), self.step + 1
+        wanted = torch.from_numpy(world.wanted)
+        if not wanted.any():
+            return self.attack(obs, world)  # only so that what it draws and plans goes on
+        draws = Draws(seed, None if self.episodes is None else self.episodes[world.wanted])
+        return self.perturb(obs, wanted, world, lambda k: self.look(defense, wanted, draws, k), draws)

@@ -1,0 +1,68 @@
+"""The adaptive attacks as the paper prints them, in section 4.5 and in appendix B, which contradict each other."""
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from detden_lite.attacks.enchanting import EnchantingAttack
+from detden_lite.attacks.gradient import GradientAttack
+from detden_lite.attacks.informed import InformedAttack, View, look
+from detden_lite.attacks.opposite import OppositeAttack
+from detden_lite.defense.detector import linf_score
+from detden_lite.draws import Draws
+
+FORMS = ("text", "appendix")
+
+
+class PrintedAttack(InformedAttack):
+    """An attack on pi(den(.)) in place of pi, with the detector's l_det in the objective.
+
+    Three things are wrong with it. Where the detector is deceived the action is pi(o_hat) and not pi(den(o_hat)). The
+    appendix raises l_det, which rings the alarm. And every gradient is of one sample of the latents' noise; here it is
+    a new one at each evaluation, as for anyone who calls the networks in the attack's loop.
+
+    Lengths are printed without a square, and are so here: in a sum it matters. l_det is in the units of the detector's
+    score, and the opposite attack goes away from pi(den(o)).
+
+    Args:
+        attack: opposite, Q-function or enchanting; its steps, restarts and random starts are used.
+        form: "text" decreases ||det(o_hat) - o_hat||_inf, "appendix" increases ||det(o_hat) - o||_inf.
+        weight: of l_det; the paper's is 1.
+        seed: of the attacker's latent samples.
+        look: see ``InformedAttack``.
+
+    Raises:
+        ValueError: for another form.
+    """
+
+    def __init__(
+        self, attack: GradientAttack, form: str = "text", weight: float = 1.0, seed: int = 0,
+        look: Callable[..., View] = look,
+    ):  # fmt: skip
+        if form not in FORMS:
+            raise ValueError(f"form must be one of {', '.join(FORMS)}, not {form!r}")
+        super().__init__(attack, seed, look)
+        self.form, self.weight = form, weight
+
+    @property
+    def settings(self) -> dict:
+        return dict(form=self.form, weight=self.weight)
+
+    def perturb(self, obs: Tensor, wanted: Tensor, world, look: Callable[[int], View], draws: Draws) -> Tensor:
+        true = obs[wanted]
+        opposite = isinstance(self.attack, OppositeAttack)
+        damage = self.attack.objective(look(1).denoise(true)[0] if opposite else true, world).of_action
+        squared = isinstance(self.attack, EnchantingAttack) or (opposite and self.attack.victim.action_std is None)
+
+        def objective(perturbed: Tensor) -> Tensor:
+            view = look(1)
+            value = damage(self.policy(view.denoise(perturbed)[0]))
+            if squared:
+                value = value.sign() * (value.abs() + torch.finfo(value.dtype).tiny).sqrt()
+            reconstruction = view.reconstruct(perturbed)[0]
+            if self.form == "text":
+                return value - self.weight * linf_score(perturbed, reconstruction, view.scale)
+            return value + self.weight * linf_score(true, reconstruction, view.scale)
+
+        return self.attack.ascend(objective, obs, wanted)
