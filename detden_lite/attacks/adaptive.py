@@ -21,49 +21,55 @@ FORBIDDEN = -1e12  # less than any damage: a stand-in's value where the detector
 
 
 @dataclass(frozen=True)
-class Prospect:
-    """What comes of perturbed observations ``[n, obs_dim]``, as a mean over the view's K samples, ``[n]``.
+class Outcome:
+    """What comes of n perturbed observations, in K samples of the defence's noise."""
 
-    Args:
-        view: the defence.
-        policy: from observations ``[..., obs_dim]`` to actions.
-        of_action: the damage of actions ``[n, action_dim]``, ``[n]``.
-    """
+    deviation: Tensor  # see ``View``, [K, n, obs_dim]
+    bare: Tensor  # the damage of pi(o_hat), [n]
+    denoised: Tensor  # the damage of pi(den(o_hat)), [K, n]
+    threshold: float
 
-    view: View
-    policy: Callable[[Tensor], Tensor]
-    of_action: Callable[[Tensor], Tensor]
+    @classmethod
+    def of(
+        cls, perturbed: Tensor, view: View, policy: Callable[[Tensor], Tensor], of_action: Callable[[Tensor], Tensor]
+    ) -> "Outcome":
+        """The outcome of ``perturbed`` ``[n, obs_dim]``.
 
-    def bare(self, perturbed: Tensor) -> Tensor:
-        """The damage of pi(o_hat)."""
-        return self.of_action(self.policy(perturbed))
+        Args:
+            perturbed: what the defence is shown.
+            view: the defence.
+            policy: from observations ``[..., obs_dim]`` to actions.
+            of_action: the damage ``[n]`` of actions ``[n, action_dim]``.
+        """
+        denoised = torch.vmap(of_action)(policy(view.denoise(perturbed)))
+        return cls(view.deviation(perturbed), of_action(policy(perturbed)), denoised, view.threshold)
 
-    def denoised(self, perturbed: Tensor) -> Tensor:
-        """The damage of pi(den(o_hat)), of each sample, ``[K, n]``."""
-        return torch.vmap(self.of_action)(self.policy(self.view.denoise(perturbed)))
+    @property
+    def alarm(self) -> Tensor:
+        """``[K, n]`` bool."""
+        return self.deviation.amax(-1) > self.threshold
 
-    def damage(self, perturbed: Tensor) -> Tensor:
-        """The expected damage of what the defended policy really does."""
-        alarm = self.view.deviation(perturbed).amax(-1) > self.view.threshold
-        return torch.where(alarm, self.denoised(perturbed), self.bare(perturbed)).mean(0)
+    @property
+    def damage(self) -> Tensor:
+        """The expected damage of what the defended policy really does, ``[n]``."""
+        return torch.where(self.alarm, self.denoised, self.bare).mean(0)
 
-    def quiet(self, perturbed: Tensor) -> Tensor:
+    def quiet(self) -> Tensor:
         """A stand-in for damage under the detector's nose: pi(o_hat)'s, and where most samples alarm, what is too much.
 
         There every component that deviates too far counts, not only the worst: so all are taken back at once.
         """
-        deviation = self.view.deviation(perturbed)
-        excess = (deviation - self.view.threshold).relu().sum(-1).mean(0)
-        return torch.where(self._alarming(deviation), FORBIDDEN * (1 + excess), self.bare(perturbed))
+        excess = (self.deviation - self.threshold).relu().sum(-1).mean(0)
+        return torch.where(self._rings, FORBIDDEN * (1 + excess), self.bare)
 
-    def loud(self, perturbed: Tensor) -> Tensor:
+    def loud(self) -> Tensor:
         """A stand-in for damage through the denoiser: pi(den(o_hat))'s, and where most are silent, what is missing."""
-        deviation = self.view.deviation(perturbed)
-        missing = (self.view.threshold - deviation.amax(-1)).relu().mean(0)
-        return torch.where(self._alarming(deviation), self.denoised(perturbed).mean(0), FORBIDDEN * (1 + missing))
+        missing = (self.threshold - self.deviation.amax(-1)).relu().mean(0)
+        return torch.where(self._rings, self.denoised.mean(0), FORBIDDEN * (1 + missing))
 
-    def _alarming(self, deviation: Tensor) -> Tensor:
-        return (deviation.amax(-1) > self.view.threshold).float().mean(0) > 0.5
+    @property
+    def _rings(self) -> Tensor:
+        return self.alarm.float().mean(0) > 0.5
 
 
 class AdaptiveAttack(InformedAttack):
@@ -117,14 +123,19 @@ class AdaptiveAttack(InformedAttack):
         true, project = obs[wanted], self.projection(obs, wanted)
         objective = self.attack.objective(true, world)
         unaware = self.attack.ascend(objective, obs, wanted)[wanted]
-        prospect_of = partial(Prospect, policy=self.policy, of_action=objective.of_action)
-        prospect = prospect_of(look(self.samples))
+        outcome = partial(Outcome.of, view=look(self.samples), policy=self.policy, of_action=objective.of_action)
+
+        def measure(perturbed: Tensor, stand_in: Callable[[Outcome], Tensor]) -> tuple[Tensor, Tensor]:
+            found = outcome(perturbed)
+            return found.damage, stand_in(found)
+
         candidates = [project(true), project(unaware)]
         for start in (unaware, *(self.budget.sample(true, draws) for _ in range(self.restarts))):
-            for stand_in in (prospect.quiet, prospect.loud):
-                candidates.append(self.search(prospect.damage, stand_in, start, project, self.budget, draws=draws))
-        judge = prospect_of(look(self.fresh))
-        best = torch.stack([judge.damage(point) for point in candidates]).argmax(0)
+            for stand_in in (Outcome.quiet, Outcome.loud):
+                problem = partial(measure, stand_in=stand_in), start, project, self.budget
+                candidates.append(self.search(*problem, draws=draws))
+        judge = partial(outcome, view=look(self.fresh))
+        best = torch.stack([judge(point).damage for point in candidates]).argmax(0)
         found = obs.clone()
         found[wanted] = torch.stack(candidates)[best, torch.arange(len(true))]
         return found

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from detden_lite.attacks.gradient import GradientAttack
 from detden_lite.defense import GRUVAE, DetectAndDenoise
+from detden_lite.defense.gruvae import sample
 from detden_lite.draws import Draws, derived_seed
 
 
@@ -49,12 +50,16 @@ def one_step(part, rows: Tensor, noise: Tensor | None) -> Callable[[Tensor], Ten
     Returns:
         A function from ``[n, obs_dim]`` to ``[K, n, obs_dim]``, with a gradient.
     """
-    samples = 1 if noise is None else len(noise)
-    state = part.state and tuple(memory[:, rows].repeat(1, samples, 1) for memory in part.state)
-    noise = None if noise is None else noise.flatten(0, 1)[:, None]
+    model, samples = part.model, 1 if noise is None else len(noise)
+    encoder_state, decoder_state = part.state or (None, None)
+    if part.state:
+        encoder_state = encoder_state[:, rows].contiguous()
+        decoder_state = decoder_state[:, rows].repeat(1, samples, 1)
 
     def step(obs: Tensor) -> Tensor:
-        output = part.model(obs.repeat(samples, 1)[:, None], noise, state).output
+        mean, log_variance, _ = model.encode(obs[:, None], encoder_state)
+        z = sample(mean[:, 0], log_variance[:, 0], noise).reshape(samples * len(obs), 1, -1)
+        output, _ = model.decode(z, obs.repeat(samples, 1)[:, None], decoder_state)
         return output.reshape(samples, *obs.shape)
 
     return step

@@ -1,4 +1,4 @@
-"""Two searches whose aim is not what leads them: a stand-in says where to go, the true value says what is kept."""
+"""Two searches whose aim is not what leads them: a stand-in says where to go, the value says what is kept."""
 
 from collections.abc import Callable
 
@@ -7,78 +7,76 @@ from torch import Tensor
 
 from detden_lite.budget import Budget
 from detden_lite.draws import Draws
-from detden_lite.gradients import value_and_gradient
 
-Function = Callable[[Tensor], Tensor]  # of points [n, obs_dim], row by row
+Project = Callable[[Tensor], Tensor]  # into the set of points [n, obs_dim] that must not be left
+Measure = Callable[[Tensor], tuple[Tensor, Tensor]]  # the value of points [n, obs_dim] and its stand-in, [n] each
 
 
-def climb(value: Function, stand_in: Function, start: Tensor, project: Function, budget: Budget, steps: int) -> Tensor:
+def climb(measure: Measure, start: Tensor, project: Project, budget: Budget, steps: int) -> Tensor:
     """The point with the largest value that was met on the way up a stand-in's gradient.
 
     Steps shrink from 15 epsilon / steps (at most 2 epsilon) on, with the square of what is left of the way. So a walk
     of 100 steps crosses the ball more than twice, and then settles at the border of a constraint, if there is one.
 
     Args:
-        value: what is to be large, ``[n]``.
-        stand_in: whose gradient is followed, ``[n]``.
+        measure: what is to be large, and the stand-in, row by row.
         start: ``[n, obs_dim]``.
-        project: into the set that must not be left, ``[n, obs_dim]``.
+        project: keeps the walk inside.
         budget: in whose norm steps are measured.
         steps: how many.
     """
-    x = project(start)
-    keep = _Best(value, x)
+    x, best = project(start), _Best()
     for step in range(steps):
         length = budget.epsilon * min(2.0, 15 / steps) * (1 - step / steps) ** 2
-        _, gradient = value_and_gradient(stand_in, x)
+        x.requires_grad_()
+        with torch.enable_grad():
+            value, stand_in = measure(x)
+            (gradient,) = torch.autograd.grad(stand_in.sum(), x)
+        x = x.detach()
+        best.meet(x, value.detach())
         x = project(x.add(budget.steepest(gradient), alpha=length))
-        keep(x)
-    return keep.point
+    best.meet(x, measure(x)[0])
+    return best.point
 
 
 def evolve(
-    value: Function,
-    stand_in: Function,
-    start: Tensor,
-    project: Function,
-    budget: Budget,
-    steps: int,
-    population: int,
-    elites: int,
+    measure: Measure, start: Tensor, project: Project, budget: Budget, steps: int, population: int, elites: int,
     draws: Draws,
-) -> Tensor:
-    """The point with the largest value among the leaders of a cross-entropy search, which asks for no gradient.
+) -> Tensor:  # fmt: skip
+    """The point with the largest value that was met in a cross-entropy search, which asks for no gradient.
 
     Args:
-        value: as in ``climb``.
-        stand_in: by which points are ordered, ``[n]``.
-        start: mean of the first points; their standard deviation is epsilon, times scale.
-        project: as in ``climb``.
+        measure: what is to be large, and the stand-in, by which points are ordered, row by row.
+        start: mean of the first points, ``[n, obs_dim]``; their standard deviation is epsilon, times scale.
+        project: keeps the points inside.
         budget: the ball whose size that is.
         steps: how often mean and standard deviation are fitted to the elites.
         population: points of each time.
         elites: how many of them are elites.
         draws: of the points, of n rows.
     """
-    mean, spread = project(start), torch.as_tensor(budget.epsilon * budget.scale)
-    keep = _Best(value, mean)
+    mean, spread, best = project(start), torch.as_tensor(budget.epsilon * budget.scale), _Best()
     for _ in range(steps):
-        points = torch.stack([project(mean + spread * draws.normal(*start.shape)) for _ in range(population)])
-        order = torch.stack([stand_in(point) for point in points]).argsort(0, descending=True)
-        elite = points.gather(0, order[:elites, :, None].expand(-1, -1, start.shape[1]))
-        keep(elite[0])
+        points = [project(mean + spread * draws.normal(*start.shape)) for _ in range(population)]
+        stand_ins = []
+        for point in points:
+            value, stand_in = measure(point)
+            best.meet(point, value)
+            stand_ins.append(stand_in)
+        first = torch.stack(stand_ins).argsort(0, descending=True)[:elites]
+        elite = torch.stack(points).gather(0, first[..., None].expand(-1, *start.shape))
         mean, spread = elite.mean(0), elite.std(0)
-    return keep.point
+    return best.point
 
 
 class _Best:
     """The best point met so far, row by row."""
 
-    def __init__(self, value: Function, point: Tensor):
-        self.value, self.point, self.most = value, point, value(point)
+    point: Tensor | None = None
 
-    def __call__(self, point: Tensor) -> None:
-        here = self.value(point)
-        better = here > self.most
+    def meet(self, point: Tensor, value: Tensor) -> None:
+        if self.point is None:
+            self.point, self.value = point, value
+        better = value > self.value
         self.point = torch.where(better[:, None], point, self.point)
-        self.most = torch.where(better, here, self.most)
+        self.value = torch.where(better, value, self.value)

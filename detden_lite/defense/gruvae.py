@@ -62,15 +62,22 @@ class GRUVAE(nn.Module):
             state: where an earlier sequence ended; None at an episode's beginning.
         """
         encoder_state, decoder_state = state or (None, None)
-        x = (obs - self.obs_mean) / self.obs_std
-        hidden, encoder_state = self.encoder(x, encoder_state)
-        mean, log_variance = self.to_mean(hidden), self.to_log_variance(hidden).clamp(-20, 10)
-        z = mean if noise is None else mean + (0.5 * log_variance).exp() * noise
-        decoded, decoder_state = self.decoder(z, decoder_state)
+        mean, log_variance, encoder_state = self.encode(obs, encoder_state)
+        output, decoder_state = self.decode(sample(mean, log_variance, noise), obs, decoder_state)
+        return Reconstruction(output, mean, log_variance, (encoder_state, decoder_state))
+
+    def encode(self, obs: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+        """Mean and log variance of q(z | o, h^o), ``[N, steps, latent_dim]`` each, and the encoder's next state."""
+        hidden, state = self.encoder((obs - self.obs_mean) / self.obs_std, state)
+        return self.to_mean(hidden), self.to_log_variance(hidden).clamp(-20, 10), state
+
+    def decode(self, z: Tensor, obs: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """The output ``[N, steps, obs_dim]`` for a latent of ``obs``, and the decoder's next state."""
+        decoded, state = self.decoder(z, state)
         out = self.to_output(decoded)
         if self.config["residual"]:
-            out = x + out
-        return Reconstruction(out * self.obs_std + self.obs_mean, mean, log_variance, (encoder_state, decoder_state))
+            out = (obs - self.obs_mean) / self.obs_std + out
+        return out * self.obs_std + self.obs_mean, state
 
     def set_statistics(self, mean: Tensor, std: Tensor) -> None:
         """Take the z-scoring's statistics, ``[obs_dim]`` each. Observations that hardly vary are left in raw units."""
@@ -83,6 +90,11 @@ class GRUVAE(nn.Module):
         model = cls(**config)
         model.load_state_dict(state)
         return model.requires_grad_(False).eval()
+
+
+def sample(mean: Tensor, log_variance: Tensor, noise: Tensor | None) -> Tensor:
+    """z = mu + sigma * noise; without noise the mean."""
+    return mean if noise is None else mean + (0.5 * log_variance).exp() * noise
 
 
 def forget(state: tuple[Tensor, Tensor] | None, i: int) -> tuple[Tensor, Tensor] | None:
