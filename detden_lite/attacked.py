@@ -65,6 +65,25 @@ def difference(one: Mapping, other: Mapping) -> Estimate:
     return estimate(np.subtract(one["returns"][:n], other["returns"][:n]))
 
 
+def failed(adaptive: Mapping, plain: Mapping) -> bool:
+    """Whether an adaptive attack leaves more return than the attack that does not know the defence, beyond chance.
+
+    Then it says nothing of the defence: who knows more can always do as the other does (Carlini et al., 2019).
+
+    Args:
+        adaptive: the record of the one.
+        plain: the record of the other, of the same timing and defence.
+
+    Raises:
+        ValueError: if the two are of other timings, defences or episodes.
+    """
+    for what in ("timing", "defense"):
+        one, other = adaptive["cell"][what], plain["cell"][what]
+        if one != other:
+            raise ValueError(f"the records are of other cells: their {what} is {one} and {other}")
+    return bool(difference(adaptive, plain).low > 0)
+
+
 def share(record: Mapping, clean: Mapping) -> float:
     """The mean return of a record as a part of the clean one; below 0 where the return is."""
     return record["estimate"]["mean"] / clean["estimate"]["mean"]

@@ -18,7 +18,10 @@ from detden_lite.attacks import (
     UniformNoise,
     Vulnerable,
 )
+from detden_lite.attacks.adaptive import AdaptiveAttack, CoupledAttack, GradientFreeAttack
 from detden_lite.attacks.gradient import GradientAttack
+from detden_lite.attacks.informed import InformedAttack
+from detden_lite.attacks.printed import FORMS, PrintedAttack
 from detden_lite.budget import Budget
 from detden_lite.metrics import summarize
 from detden_lite.planner import CEMPlanner
@@ -41,6 +44,12 @@ def seeds(purpose: str, n: int) -> range:
 CONTROLS = ("uniform", "gaussian", "fgsm")
 FOUR = ("opposite", "qfunction", "optimal", "enchanting")  # the paper's
 ATTACKS = (*CONTROLS, *FOUR, "linear")
+# Those that know the defence: as section 4.5 and appendix B print them, and as they should be.
+ADAPTIVE = (
+    *(f"{form}-{attack}" for form in FORMS for attack in ("opposite", "qfunction", "enchanting")),
+    "adaptive-opposite", "adaptive-qfunction", "adaptive-optimal", "coupled-opposite", "free-opposite",
+)  # fmt: skip
+_KINDS = dict(adaptive=AdaptiveAttack, coupled=CoupledAttack, free=GradientFreeAttack)
 TIMINGS = ("always", "vulnerable", "random")
 
 
@@ -49,7 +58,7 @@ class Cell:
     """What is done to whom. The names are those of the book's tables.
 
     Args:
-        attack: "none", or one of ``ATTACKS``.
+        attack: "none", or one of ``ATTACKS``; with a defence also one of ``ADAPTIVE``.
         timing: one of ``TIMINGS``.
         defense: "none", or the name of a shipped defence.
     """
@@ -74,6 +83,7 @@ class Threat:
     rate: float = 1.0  # of the random timing
     planner: Mapping[str, int] = field(default_factory=dict)  # arguments of ``CEMPlanner``
     adversaries: Mapping[str, Victim] = field(default_factory=dict)  # "optimal", "linear": ``artifacts.load_adversary``
+    adaptive: Mapping[str, int] = field(default_factory=dict)  # arguments of ``AdaptiveAttack``, for its variants too
 
     def attack(self, name: str, victim: Victim, task: Task):
         """The attack of this name, or None for "none"."""
@@ -94,13 +104,17 @@ class Threat:
                 return EnchantingAttack(
                     victim, self.budget, CEMPlanner(task.env_id, **self.planner), self.steps, self.restarts
                 )
-            case "optimal" | "linear":
+            case "optimal" | "linear" | "adaptive-optimal":
                 if name not in self.adversaries:
                     raise ValueError(
                         f"adversaries: the {name} one is missing; run its stage first, or give one of your own"
                     )
                 return OptimalAttack(self.adversaries[name], self.budget)
-        raise ValueError(f"attack must be none or one of {', '.join(ATTACKS)}, not {name!r}")
+        if name not in ADAPTIVE:
+            raise ValueError(f"attack must be none or one of {', '.join(ATTACKS + ADAPTIVE)}, not {name!r}")
+        kind, unaware = name.split("-")
+        attack = self.attack(unaware, victim, task)
+        return PrintedAttack(attack, kind) if kind in FORMS else _KINDS[kind](attack, **self.adaptive)
 
     def timing(self, name: str, victim: Victim):
         """The timing of this name."""
@@ -139,6 +153,9 @@ def run_cell(
         victim, task, episode_seeds, attack=attack, timing=timing, defense=defense, steps=steps, progress=progress
     )
     settings = dict(epsilon=threat.budget.epsilon, norm=str(threat.budget.norm))
+    if isinstance(attack, InformedAttack):
+        settings["adaptive"] = attack.settings
+        attack = attack.attack
     if isinstance(attack, GradientAttack):
         settings |= dict(steps=attack.steps, restarts=attack.restarts)
     if isinstance(attack, EnchantingAttack):

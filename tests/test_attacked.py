@@ -8,7 +8,7 @@ from builders import BUDGET, HOPPER, make_victim
 
 from detden_lite import artifacts
 from detden_lite.artifacts import ArtifactError
-from detden_lite.attacked import CELLS, CLEAN, NAMES, PAPER, difference, load, share, strikes, strongest
+from detden_lite.attacked import CELLS, CLEAN, NAMES, PAPER, difference, failed, load, share, strikes, strongest
 from detden_lite.cards import PAPER as PAPER_CLEAN
 from detden_lite.cards import ROWS
 from detden_lite.metrics import estimate
@@ -69,6 +69,17 @@ def test_a_difference_is_of_the_same_episodes():
     assert difference(record(starts + gain), record(starts[:30])).mean == pytest.approx(gain[:30].mean())
     with pytest.raises(ValueError, match="other episodes, from seeds 8000000 and 5000000 on"):
         difference(record(starts), record(starts, first=5_000_000))
+
+
+def test_an_adaptive_attack_that_spares_the_victim_has_failed():
+    """Episode by episode and beyond chance; one that is merely no better has not."""
+    rng = np.random.default_rng(0)
+    cell = dict(cell=dict(timing="always", defense="mixed"))
+    starts, noise = rng.normal(1_000, 500, 50), rng.normal(0, 5, 50)
+    plain, spared, same, worse = (record(starts + gain + noise * bool(gain)) | cell for gain in (0, 20, 0.1, -20))
+    assert failed(spared, plain) and not failed(same, plain) and not failed(worse, plain)
+    with pytest.raises(ValueError, match="other cells: their defense is mixed and both"):
+        failed(spared, plain | dict(cell=dict(timing="always", defense="both")))
 
 
 @pytest.mark.parametrize("task, algo", ROWS)

@@ -9,7 +9,7 @@ from builders import BUDGET, HOPPER, make_defense, make_victim
 from detden_lite.defense import Denoiser, DetectAndDenoise
 from detden_lite.defense.oracles import OracleDetector
 from detden_lite.metrics import score_auroc
-from detden_lite.study import SEEDS, Cell, Threat, run_cell, seeds
+from detden_lite.study import ADAPTIVE, SEEDS, Cell, Threat, run_cell, seeds
 from detden_lite.victims import Victim
 
 THREAT = Threat(BUDGET, steps=3, restarts=2, c_vul=0.1, rate=0.5)
@@ -110,3 +110,29 @@ def test_a_learned_adversary_attacks_in_a_cell_once_it_is_given(victim, name):
     assert record["settings"] == dict(epsilon=0.075, norm="inf") and record["attack_rate"] == 1
     obs = torch.from_numpy(episodes.obs[0])
     assert torch.allclose(torch.from_numpy(episodes.perturbed[0]), obs + 0.075 * adversary(obs), atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ADAPTIVE)
+def test_every_attack_that_knows_the_defence_can_be_run(victim, name):
+    torch.manual_seed(0)
+    planner = dict(horizon=2, population=4, iterations=1, elites=2)
+    small = dict(steps=2, restarts=1, samples=2, fresh=2)
+    adversaries = {"adaptive-optimal": Victim([11, 11], gaussian=True)}
+    threat = replace(THREAT, planner=planner, adaptive=small, adversaries=adversaries)
+    cell = Cell(name, defense="mine")
+    record, episodes = run_cell(cell, HOPPER, victim, threat, make_defense(), seeds("report", 2), steps=3)
+    assert json.loads(json.dumps(record, allow_nan=False)) == record
+    assert BUDGET.contains(torch.from_numpy(episodes.obs), torch.from_numpy(episodes.perturbed)).all()
+    assert (episodes.perturbed != episodes.obs).any(-1).all()
+    kind, unaware = name.split("-")
+    own = dict(text=dict(form="text", weight=1.0), appendix=dict(form="appendix", weight=1.0), adaptive=small)
+    own |= dict(coupled=small | dict(pace=0.2), free=small | dict(population=32, elites=6))
+    assert record["settings"].get("adaptive") == (None if unaware == "optimal" else own[kind])
+    assert record["settings"].get("steps") == (None if unaware == "optimal" else THREAT.steps)
+
+
+def test_without_a_defence_there_is_nothing_to_adapt_to(victim):
+    with pytest.raises(ValueError, match="no defense to adapt to"):
+        run(victim, Cell("adaptive-opposite"))
+    with pytest.raises(ValueError, match="adversaries: the adaptive-optimal one is missing"):
+        run(victim, Cell("adaptive-optimal", defense="mine"), make_defense())
