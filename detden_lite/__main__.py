@@ -52,10 +52,11 @@ def parser() -> argparse.ArgumentParser:
     add("baselines", ablations.fit_baselines, "fit what the GRU-VAEs have to beat")
     add("threshold", ablations.tune_threshold, "tune C_anomaly as the paper does, on attacked episodes")
     add("timing", stages.tune_timing, "tune when the attacker strikes")
-    add("adversary", adversaries.train_member, "train a member of the grid of adversaries").add_argument(
-        "--member", type=int, default=0, help="its place in the grid; default: %(default)s"
-    )
-    add("choose", adversaries.choose, "choose the adversary that leaves the victim the least")
+    member = add("adversary", adversaries.train_member, "train a member of the grid of adversaries")
+    member.add_argument("--member", type=int, default=0, help="its place in the grid; default: %(default)s")
+    chosen = add("choose", adversaries.choose, "choose the adversary that leaves the victim the least")
+    for one in (member, chosen):
+        one.add_argument("--defended", action="store_true", help="the victim has its main defence")
     add("linear", adversaries.search_linear, "search for a linear adversary")
     evaluate = add("evaluate", stages.evaluate, "run every cell of the tables")
     evaluate.add_argument(
@@ -69,6 +70,7 @@ def parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     add("ablate", stages.ablate, "run the cells of ablations, baselines and ceilings")
     add("defend", own.defend_victim, "defend the victim in one call, and evaluate it with the defence and without")
+    add("adapt", stages.adapt, "run the cells of the attacks that know the main defence")
     add("epsilon", sweeps.epsilon, "attack at several sizes of the ball")
     add("planning", sweeps.planning, "run the enchanting attack with several planners")
     add("look", gallery.look, "record and film an episode, attacked and not (needs a GL driver)").add_argument(

@@ -10,15 +10,21 @@ from detden_lite import artifacts, linear_search, selection, study, victim_train
 from detden_lite.attacks import OptimalAttack
 from detden_lite.linear_search import LinearMaps, LinearRecipe
 from detden_lite.rollout import rollout
-from detden_lite.runs import Run
+from detden_lite.runs import MAIN, Run
 from detden_lite.victim_recipes import AdversaryRecipe
 from detden_lite.victims import Victim
 
 SCREENING, SELECTION = 5, 32  # episodes of each snapshot
+_NAMES = {False: "adversary", True: "defended-adversary"}  # of the checkpoints' folders
 
 
-def train_member(run: Run, member: int) -> None:
+def train_member(run: Run, member: int, defended: bool = False) -> None:
     """Train one member of the grid by PPO; its snapshots are kept in the run's checkpoints.
+
+    Args:
+        run: where.
+        member: its place in the grid.
+        defended: whether the victim has its main defence meanwhile: the optimal adaptive attack (appendix B).
 
     Raises:
         ValueError: if the grid has no such member.
@@ -33,21 +39,29 @@ def train_member(run: Run, member: int) -> None:
 
     def worlds(n: int):
         timing = threat.timing(grid[member].timing, victim)
-        return VecMonitor(AdversaryEnv(victim, run.task, run.budget, n, timing, steps=run.scale.horizon))
+        defense = run.defense(MAIN) if defended else None
+        return VecMonitor(AdversaryEnv(victim, run.task, run.budget, n, timing, defense, run.scale.horizon))
 
-    folder = run.folder / "checkpoints" / f"adversary-{member}"
+    folder = run.folder / "checkpoints" / f"{_NAMES[defended]}-{member}"
     about = dict(c_vul=threat.c_vul) if grid[member].timing == "vulnerable" else {}
+    if defended:
+        about |= dict(defense=MAIN, denoiser=artifacts.promised(run.folder / f"denoiser-{MAIN}.safetensors", run.root))
     victim_training.train(run.task, grid[member], member, folder, worlds, _about(run) | about)
 
 
-def choose(run: Run) -> None:
+def choose(run: Run, defended: bool = False) -> None:
     """Ship the member's snapshot that leaves the victim the least, striking always and where it is vulnerable.
+
+    Args:
+        run: where.
+        defended: whether the victim has its main defence, in training and choice.
 
     Raises:
         ValueError: if no member was trained.
     """
-    folders = sorted((run.folder / "checkpoints").glob("adversary-*"))
-    _ship(run, "optimal", AdversaryRecipe, folders, ("always", "vulnerable"))
+    folders = sorted((run.folder / "checkpoints").glob(f"{_NAMES[defended]}-*"))
+    kind, defense = ("adaptive-optimal", run.defense(MAIN)) if defended else ("optimal", None)
+    _ship(run, kind, AdversaryRecipe, folders, ("always", "vulnerable"), defense)
 
 
 def search_linear(run: Run, seed: int = 0) -> None:
@@ -77,7 +91,7 @@ def _about(run: Run) -> dict:
     )
 
 
-def _ship(run: Run, kind: str, recipe: type, folders: Iterable[Path], timings: Sequence[str]) -> None:
+def _ship(run: Run, kind: str, recipe: type, folders: Iterable[Path], timings: Sequence[str], defense=None) -> None:
     """Choose by the mean over timings, on episodes that nothing else uses. Records of another adversary are removed."""
     folders = [folder for folder in folders if any((folder / "snapshots").glob("*.safetensors"))]
     if not folders:
@@ -88,7 +102,8 @@ def _ship(run: Run, kind: str, recipe: type, folders: Iterable[Path], timings: S
     episodes = dict(screening=seeds[:SCREENING], selection=seeds[SCREENING:])
 
     def play(purpose: str, **attacked) -> np.ndarray:
-        return rollout(victim, run.task, episodes[purpose], steps=run.scale.horizon, **attacked).returns
+        played = dict(defense=defense, steps=run.scale.horizon)
+        return rollout(victim, run.task, episodes[purpose], **played, **attacked).returns
 
     def mean(adversary: Victim, purpose: str) -> float:
         attack = OptimalAttack(adversary, run.budget)
@@ -98,6 +113,7 @@ def _ship(run: Run, kind: str, recipe: type, folders: Iterable[Path], timings: S
     sidecar = dict(
         task=run.task.name,
         algo=run.algo,
+        defense="none" if defense is None else MAIN,
         recipe=chosen.recipe,
         step=chosen.step,
         timings=list(timings),

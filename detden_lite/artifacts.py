@@ -158,11 +158,15 @@ def load_defense(task: str, algo: str, variant: str = "residual", root: Path = D
     return DetectAndDenoise(Detector(detector, calibration["threshold"]), Denoiser(denoiser))
 
 
+# By kind: learned by reinforcement on the bare victim, a linear map, and learned on the victim with its defence.
+ADVERSARIES = {"optimal": "adversary", "linear": "adversary-linear", "adaptive-optimal": "adversary-adaptive"}
+
+
 def adversary_path(task: str, algo: str, kind: str, root: Path = DATA) -> Path:
-    """Where the adversary of this kind is: "optimal" is learned by reinforcement, "linear" is a linear map."""
-    if kind not in ("optimal", "linear"):
-        raise ValueError(f"kind must be optimal or linear, not {kind!r}")
-    return root / f"{task}-{algo}" / ("adversary.safetensors" if kind == "optimal" else "adversary-linear.safetensors")
+    """Where the adversary of this kind, a key of ``ADVERSARIES``, is."""
+    if kind not in ADVERSARIES:
+        raise ValueError(f"kind must be one of {', '.join(ADVERSARIES)}, not {kind!r}")
+    return root / f"{task}-{algo}" / f"{ADVERSARIES[kind]}.safetensors"
 
 
 def save_adversary(task: str, algo: str, kind: str, adversary: Victim, sidecar: Mapping, root: Path = DATA) -> None:
@@ -177,7 +181,7 @@ def load_adversary(task: str, algo: str, kind: str = "optimal", root: Path = DAT
     Args:
         task: of the victim that it learned to harm ("hopper").
         algo: that victim's algorithm ("td3").
-        kind: "optimal" for the one learned by reinforcement, "linear" for the linear map.
+        kind: a key of ``ADVERSARIES``.
         root: as data/ is laid out.
     """
     adversary, _ = _build(_adversary, adversary_path(task, algo, kind, root), root)

@@ -100,14 +100,14 @@ class Run:
         row = (self.task.name, self.algo)
         adversaries = {
             kind: artifacts.load_adversary(*row, kind, self.root)
-            for kind in ("optimal", "linear")
+            for kind in artifacts.ADVERSARIES
             if artifacts.adversary_path(*row, kind, self.root).exists()
         }
         return replace(self.untimed_threat, c_vul=tuned["c_vul"], rate=tuned["attack_rate"], adversaries=adversaries)
 
     @property
     def untimed_threat(self) -> Threat:
-        return Threat(self.budget, self.scale.attack_steps, planner=self.scale.planner)
+        return Threat(self.budget, self.scale.attack_steps, planner=self.scale.planner, adaptive=self.scale.adaptive)
 
     def opposite(self, victim: Victim) -> OppositeAttack:
         return OppositeAttack(victim, self.budget, steps=self.scale.attack_steps)

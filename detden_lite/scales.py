@@ -91,7 +91,8 @@ class Scale(DefenseScale):
     critic: QRecipe
     memoryless_epochs: int  # of the auto-encoder without memory
     episodes: int  # of each reported cell
-    planned_episodes: int  # of those whose attack plans, which takes long
+    planned_episodes: int  # of those whose attack plans or knows the defence, which takes long
+    adaptive: Mapping[str, int]  # arguments of ``AdaptiveAttack``
     planner: Mapping[str, int]  # arguments of ``CEMPlanner``
     planners: tuple[Mapping[str, int], ...]  # of the sweep of planners
     adversaries: tuple[AdversaryRecipe, ...]  # the grid of the optimal attack
@@ -130,6 +131,7 @@ def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
             memoryless_epochs=1,
             episodes=4,
             planned_episodes=2,
+            adaptive=dict(steps=2, samples=2, fresh=2),
             planner=TINY_PLANNER,
             planners=TINY_PLANNERS,
             adversaries=TINY_ADVERSARIES,
@@ -142,6 +144,7 @@ def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
         memoryless_epochs=10,
         episodes=100,
         planned_episodes=50,
+        adaptive=dict(),
         planner=PLANNER_OF.get(task.name, PLANNER),
         planners=PLANNERS,
         adversaries=LITE_ADVERSARIES if name == "lite" else PAPER_ADVERSARIES,

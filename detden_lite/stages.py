@@ -174,6 +174,11 @@ def cells(defenses=("none", MAIN)) -> list[study.Cell]:
     return found
 
 
+def adaptive_cells(defense: str = MAIN) -> list[study.Cell]:
+    """The cells of the attacks that know the defence: always, since who fears them asks for the worst."""
+    return [study.Cell(attack, "always", defense) for attack in study.ADAPTIVE]
+
+
 def tune_timing(run: Run) -> None:
     """Tune C_vul, and with it the rate of the random timing, on tuning episodes."""
     path = run.folder / "timing.json"
@@ -187,10 +192,16 @@ def evaluate(run: Run, defenses=("none", MAIN), attacks=("none", *study.ATTACKS)
     run_cells(run, [cell for cell in cells(defenses) if cell.attack in attacks], run.threat())
 
 
+def adapt(run: Run) -> None:
+    """The cells of the attacks that know the main defence, a record each."""
+    run_cells(run, adaptive_cells(), run.threat())
+
+
 def run_cells(run: Run, wanted: Iterable[study.Cell], threat: study.Threat) -> None:
     """Run these cells of the run's victim on the report's episodes, a record each; what is there is left as it is."""
     victim = run.victim()
     unattacked: dict[str, Episodes] = {}  # of the defence at hand: what its attacked cells are compared with
+    slow = ("enchanting", *study.ADAPTIVE)
     for cell in wanted:
         name = cell.record_name(run.task.name, run.algo)
         path = run.root / "results" / f"{name}.json"
@@ -203,7 +214,7 @@ def run_cells(run: Run, wanted: Iterable[study.Cell], threat: study.Threat) -> N
             unattacked = {cell.defense: clean}
         record, episodes = study.run_cell(
             cell, run.task, victim, threat, defense,
-            seeds[: run.scale.planned_episodes] if cell.attack == "enchanting" else seeds,
+            seeds[: run.scale.planned_episodes] if cell.attack in slow else seeds,
             run.scale.horizon, progress=name, clean=unattacked.get(cell.defense),
         )  # fmt: skip
         if defense is not None and cell.attack == "none":

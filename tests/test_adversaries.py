@@ -1,19 +1,19 @@
 import json
 import shutil
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
 import torch
-from builders import BUDGET, HOPPER, make_victim
+from builders import BUDGET, HOPPER, make_gruvae, make_victim
 from safetensors.torch import load_file, save_file
 from stable_baselines3.common.vec_env import VecMonitor
 
-from detden_lite import adversaries, artifacts, study, victim_training
+from detden_lite import adversaries, artifacts, stages, study, victim_training
 from detden_lite.adversary_env import AdversaryEnv
 from detden_lite.attacks import OptimalAttack, Vulnerable
 from detden_lite.rollout import rollout
-from detden_lite.runs import Run
+from detden_lite.runs import MAIN, Run
 from detden_lite.victim_recipes import AdversaryRecipe
 from detden_lite.victim_training import train
 from detden_lite.victims import Victim
@@ -157,6 +157,34 @@ def test_a_member_is_trained_on_the_victim_of_the_run_within_its_budget(run):
     assert recipe == about | dict(c_vul=C_VUL) | asdict(run.scale.adversaries[1])
     assert [member.timing for member in run.scale.adversaries] == ["always", "vulnerable"]
     assert len(contents(run.folder / "checkpoints" / "adversary-1")) == 2
+
+
+def test_an_adversary_learns_with_the_defence_inside_and_has_its_cells(run):
+    run = replace(run, scale=replace(run.scale, horizon=8))
+    for name, model in ((f"denoiser-{MAIN}", make_gruvae(seed=1, residual=True)), ("detector-diverse", make_gruvae())):
+        artifacts.save_model("hopper", "td3", name, model, dict(data="diverse", threshold=1.5), run.root)
+    adversaries.train_member(run, 0, defended=True)
+    folder = run.folder / "checkpoints" / "defended-adversary-0"
+    recipe = json.loads((folder / "recipe.json").read_text())
+    assert recipe["defense"] == MAIN
+    assert recipe["denoiser"] == artifacts.promised(run.folder / f"denoiser-{MAIN}.safetensors", run.root)
+    with pytest.raises(ValueError, match="no snapshot of an adversary"):
+        adversaries.choose(run)  # this one is not for the bare victim
+    adversaries.choose(run, defended=True)
+    card = artifacts.read_json(run.folder / "adversary-adaptive.json", run.root)
+    n = len(card["learning_curves"][0]["mean"])
+    assert card["defense"] == MAIN and n == 2
+    attack = OptimalAttack(run.threat().adversaries["adaptive-optimal"], run.budget)
+    first, episodes = card["selection_seeds"]
+    played = [
+        rollout(run.victim(), HOPPER, range(first, first + episodes), defense=run.defense(MAIN), steps=8, **attacked)
+        for attacked in (dict(), dict(attack=attack), dict(attack=attack, timing=Vulnerable(run.victim(), C_VUL)))
+    ]
+    clean, *struck = (float(each.returns.mean()) for each in played)
+    assert card["clean_mean"] == pytest.approx(clean) and card["selection_mean"] == pytest.approx(sum(struck) / 2)
+    stages.adapt(run)
+    made = sorted(path.name for path in (run.root / "results").iterdir())
+    assert made == sorted(f"hopper-td3.{attack}.always.{MAIN}.json" for attack in study.ADAPTIVE)
 
 
 def test_a_linear_adversary_is_searched_and_shipped(run):

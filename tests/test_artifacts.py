@@ -302,5 +302,5 @@ def test_what_is_no_adversary_is_refused(tmp_path):
     artifacts.save_adversary("hopper", "td3", "optimal", make_victim(), {}, tmp_path)
     with pytest.raises(ArtifactError, match="adversary.safetensors does not fit .*11 observations to 3 perturbations"):
         artifacts.load_adversary("hopper", "td3", "optimal", tmp_path)
-    with pytest.raises(ValueError, match="kind must be optimal or linear, not 'best'"):
+    with pytest.raises(ValueError, match="kind must be one of optimal, linear, adaptive-optimal, not 'best'"):
         artifacts.load_adversary("hopper", "td3", "best", tmp_path)
