@@ -5,8 +5,9 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from detden_lite import ablations, adversaries, durations, gallery, own, stages, study, sweeps, tables
+from detden_lite import ablations, adversaries, durations, evaluation, gallery, own, stages, study, sweeps, tables
 from detden_lite.artifacts import ArtifactError
+from detden_lite.runs import DATASETS, MAIN, VARIANTS, Run
 from detden_lite.scales import ALGORITHMS, SCALES
 from detden_lite.tasks import NAMES
 
@@ -44,10 +45,10 @@ def parser() -> argparse.ArgumentParser:
         ("detector", stages.train_detector, "train the detector and calibrate its threshold"),
     ):
         add(name, function, text).add_argument(
-            "--data", choices=stages.DATASETS, default="diverse", help="exploration in D_normal; default: %(default)s"
+            "--data", choices=DATASETS, default="diverse", help="exploration in D_normal; default: %(default)s"
         )
     add("denoiser", stages.train_denoiser, "train a denoiser").add_argument(
-        "--variant", choices=stages.VARIANTS, default=stages.MAIN, help="default: %(default)s"
+        "--variant", choices=VARIANTS, default=MAIN, help="default: %(default)s"
     )
     add("baselines", ablations.fit_baselines, "fit what the GRU-VAEs have to beat")
     add("threshold", ablations.tune_threshold, "tune C_anomaly as the paper does, on attacked episodes")
@@ -58,30 +59,30 @@ def parser() -> argparse.ArgumentParser:
     for one in (member, chosen):
         one.add_argument("--defended", action="store_true", help="the victim has its main defence")
     add("linear", adversaries.search_linear, "search for a linear adversary")
-    evaluate = add("evaluate", stages.evaluate, "run every cell of the tables")
+    evaluate = add("evaluate", evaluation.evaluate, "run every cell of the tables")
     evaluate.add_argument(
-        "--defenses", nargs="+", choices=["none", *stages.VARIANTS, *ablations.ASSEMBLED],
-        default=["none", stages.MAIN],
+        "--defenses", nargs="+", choices=["none", *VARIANTS, *ablations.ASSEMBLED],
+        default=["none", MAIN],
         help="none is the bare victim; default: %(default)s",
     )  # fmt: skip
     evaluate.add_argument(
         "--attacks", nargs="+", choices=["none", *study.ATTACKS], default=["none", *study.ATTACKS],
         help="default: all of them",
     )  # fmt: skip
-    add("ablate", stages.ablate, "run the cells of ablations, baselines and ceilings")
+    add("ablate", evaluation.ablate, "run the cells of ablations, baselines and ceilings")
     add("defend", own.defend_victim, "defend the victim in one call, and evaluate it with the defence and without")
-    add("adapt", stages.adapt, "run the cells of the attacks that know the main defence")
+    add("adapt", evaluation.adapt, "run the cells of the attacks that know the main defence")
     add("epsilon", sweeps.epsilon, "attack at several sizes of the ball")
     add("planning", sweeps.planning, "run the enchanting attack with several planners")
     add("look", gallery.look, "record and film an episode, attacked and not (needs a GL driver)").add_argument(
-        "--variant", choices=stages.VARIANTS, default=stages.MAIN, help="default: %(default)s"
+        "--variant", choices=VARIANTS, default=MAIN, help="default: %(default)s"
     )
     add("portrait", gallery.portrait, "film a clean episode of the victim (needs a GL driver)")
     shown = add("gallery", gallery.gallery, "film and record an episode under each attack (needs a GL driver)")
     shown.add_argument(
         "--attacks", nargs="+", choices=study.ATTACKS, default=list(study.FOUR), help="default: %(default)s"
     )  # fmt: skip
-    shown.add_argument("--variant", choices=stages.VARIANTS, default=stages.MAIN, help="default: %(default)s")
+    shown.add_argument("--variant", choices=VARIANTS, default=MAIN, help="default: %(default)s")
     add("publish", stages.publish, "copy what is shipped into data/")
     add("table", tables.write, "gather the records of all victims in one table", parents=[where])
     took = add("durations", durations.show, "print how long each stage takes", parents=[where])
@@ -105,7 +106,7 @@ def run_stage(args: argparse.Namespace) -> None:
     function, scale, root, _ = (options.pop(key) for key in ("function", "scale", "root", "stage"))
     root = root or Path("runs") / scale
     if "task" in options:
-        function(stages.Run.of(root, options.pop("task"), options.pop("algo"), scale), **options)
+        function(Run.of(root, options.pop("task"), options.pop("algo"), scale), **options)
     else:
         function(root, **options)
 

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from detden_lite import artifacts, stages, study
+from detden_lite import artifacts, evaluation, study
 from detden_lite.metrics import Estimate, estimate
 
 ATTACKS = (*study.FOUR, "linear")  # the last is the released code's stand-in for the optimal one
-CELLS = tuple((cell.attack, cell.timing) for cell in stages.cells(("none",)))
+CELLS = tuple((cell.attack, cell.timing) for cell in evaluation.cells(("none",)))
 CLEAN = ("none", "always")
 NAMES = dict(
     none="clean", uniform="uniform noise", gaussian="Gaussian noise", fgsm="FGSM", opposite="opposite",

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from detden_lite import artifacts, stages, study
+from detden_lite import artifacts, evaluation, study
 from detden_lite.attacked import CLEAN
 from detden_lite.runs import MAIN
 
@@ -29,7 +29,7 @@ def load(task: str, algo: str, defense: str = MAIN, root: Path = artifacts.DATA)
     Raises:
         ArtifactError: if one of them is altered.
     """
-    names = {(cell.attack, cell.timing): cell.record_name(task, algo) for cell in stages.cells((defense,))}
+    names = {(cell.attack, cell.timing): cell.record_name(task, algo) for cell in evaluation.cells((defense,))}
     there = {cell: name for cell, name in names.items() if (root / "results" / f"{name}.json").exists()}
     return {cell: artifacts.load_record(name, root) for cell, name in there.items()}
 

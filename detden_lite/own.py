@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from gymnasium.envs.mujoco import MujocoEnv
 
-from detden_lite import artifacts, stages
+from detden_lite import artifacts, evaluation, stages
 from detden_lite.budget import Budget
 from detden_lite.defended import Defended
 from detden_lite.runs import VARIANTS, Run
@@ -165,7 +165,7 @@ def defend_victim(run: Run) -> None:
     defended = defend(victim, run.task.env_id, run.budget, run.scale, run.root)
     defenses, attacks = {"none": None, variant_of(victim): defended.defense}, ("uniform", "opposite")
     cells = [Cell(attack, defense=name) for name in defenses for attack in ("none", *attacks)]
-    stages.run_cells(run, cells, run.untimed_threat)
+    evaluation.run_cells(run, cells, run.untimed_threat)
     path = run.folder / "sizes.json"
     if not artifacts.is_made(path, run.root):
         settings = (run.task, victim, run.untimed_threat, seeds("report", run.scale.episodes), attacks, SIZES)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from builders import make_victim
 
-from detden_lite import ablations, artifacts, stages
+from detden_lite import ablations, artifacts, evaluation, stages
 from detden_lite.attacks import OppositeAttack, Random
 from detden_lite.rollout import rollout
 from detden_lite.runs import MAIN, Run, load_trajectories
@@ -104,7 +104,7 @@ def test_another_name_and_a_missing_part_are_refused(run, tmp_path):
 
 def test_records_of_assembled_defences_say_what_is_not_the_papers(run):
     artifacts.write_json(run.folder / "timing.json", dict(c_vul=0.0, attack_rate=0.5), run.root)
-    stages.evaluate(run, ("always", "oracle-denoiser"), ("none", "opposite"))
+    evaluation.evaluate(run, ("always", "oracle-denoiser"), ("none", "opposite"))
     always = artifacts.load_record("hopper-td3.opposite.always.always", run.root)
     oracle = artifacts.load_record("hopper-td3.opposite.always.oracle-denoiser", run.root)
     assert always["settings"]["always"] and oracle["settings"]["truth"] and oracle["denoiser_mae"] == 0

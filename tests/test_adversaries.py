@@ -9,7 +9,7 @@ from builders import BUDGET, HOPPER, make_gruvae, make_victim
 from safetensors.torch import load_file, save_file
 from stable_baselines3.common.vec_env import VecMonitor
 
-from detden_lite import adversaries, artifacts, stages, study, victim_training
+from detden_lite import adversaries, artifacts, evaluation, study, victim_training
 from detden_lite.adversary_env import AdversaryEnv
 from detden_lite.attacks import OptimalAttack, Vulnerable
 from detden_lite.rollout import rollout
@@ -182,7 +182,7 @@ def test_an_adversary_learns_with_the_defence_inside_and_has_its_cells(run):
     ]
     clean, *struck = (float(each.returns.mean()) for each in played)
     assert card["clean_mean"] == pytest.approx(clean) and card["selection_mean"] == pytest.approx(sum(struck) / 2)
-    stages.adapt(run)
+    evaluation.adapt(run)
     made = sorted(path.name for path in (run.root / "results").iterdir())
     assert made == sorted(f"hopper-td3.{attack}.always.{MAIN}.json" for attack in study.ADAPTIVE)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from detden_lite import artifacts, cards, defend, stages
+from detden_lite import artifacts, cards, defend, evaluation, stages
 from detden_lite.budget import Budget
 from detden_lite.metrics import estimate
 from detden_lite.rollout import rollout
@@ -122,7 +122,7 @@ def test_every_record_is_of_the_models_that_are_shipped(name):
 @pytest.mark.parametrize("folder", TABLES)
 def test_the_table_of_a_defended_victim_is_complete(folder):
     variants = [variant for name, variant in DEFENSES if name == folder]
-    assert {cell.record_name(*folder.split("-")) for cell in stages.cells(variants)} <= set(RECORDS)
+    assert {cell.record_name(*folder.split("-")) for cell in evaluation.cells(variants)} <= set(RECORDS)
 
 
 @pytest.mark.parametrize("folder", ATTACKED)
@@ -132,7 +132,7 @@ def test_no_attack_on_a_victim_is_half_recorded(folder):
     HalfCheetah magnifies rounding until an episode on another machine is another episode: its mean must agree.
     """
     recorded = {name.split(".")[1] for name in RECORDS if name.startswith(f"{folder}.")}
-    cells = [cell for cell in stages.cells(["none"]) if cell.attack in recorded]
+    cells = [cell for cell in evaluation.cells(["none"]) if cell.attack in recorded]
     assert {cell.record_name(*folder.split("-")) for cell in cells} <= set(RECORDS)
     card = artifacts.read_json(DATA / folder / "victim.json", DATA)["estimate"]
     clean = record(f"{folder}.none.always.none")["estimate"]
@@ -166,7 +166,7 @@ def test_the_sweep_over_sizes_of_that_policy_agrees_with_its_records(name):
 
 @pytest.mark.parametrize("folder", TABLES)
 @pytest.mark.parametrize(
-    "cell", [cell for cell in stages.cells(["none", "residual"]) if cell.attack == "opposite"], ids=str
+    "cell", [cell for cell in evaluation.cells(["none", "residual"]) if cell.attack == "opposite"], ids=str
 )
 def test_the_shipped_models_do_again_what_the_records_tell(folder, cell):
     """The share of 16 report episodes that have ended after 200 steps; rounding on another machine may change a few."""

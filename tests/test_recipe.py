@@ -15,7 +15,7 @@ import yaml
 from conftest import ROOT
 from rulegraph import rule_graph
 
-from detden_lite import artifacts, durations, stages
+from detden_lite import artifacts, durations, evaluation
 from detden_lite.runs import MAIN, VARIANTS
 from detden_lite.scales import ALGORITHMS, SCALES, get_scale
 from detden_lite.tasks import TASKS
@@ -197,7 +197,7 @@ def test_a_killed_run_goes_on_and_makes_nothing_twice(killed):
 
 def test_a_run_makes_everything_of_its_row(killed):
     folder, _ = killed
-    names = {cell.record_name("hopper", "ppo") for cell in stages.cells(["none", MAIN])}
+    names = {cell.record_name("hopper", "ppo") for cell in evaluation.cells(["none", MAIN])}
     assert {path.stem for path in (folder / "results").glob("*.json")} == names
     assert artifacts.load_victim("hopper", "ppo", folder).critics
     artifacts.load_defense("hopper", "ppo", MAIN, folder)

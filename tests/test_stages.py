@@ -15,7 +15,7 @@ import torch
 from builders import HOPPER, normal
 from safetensors.torch import load_file, save_file
 
-from detden_lite import artifacts, runs, stages
+from detden_lite import artifacts, evaluation, runs, stages
 from detden_lite.__main__ import main
 from detden_lite.budget import Budget
 from detden_lite.defense import Detector
@@ -78,7 +78,7 @@ def test_the_recipe_makes_everything_that_the_library_loads(request, algo):
     victim = artifacts.load_victim("hopper", algo, tiny)
     defense = artifacts.load_defense("hopper", algo, MAIN, tiny)
     assert victim.obs_dim == defense.detector.model.obs_dim == 11 and defense.denoiser.model.config["residual"]
-    for cell in stages.cells(["none", MAIN]):
+    for cell in evaluation.cells(["none", MAIN]):
         record = artifacts.load_record(cell.record_name("hopper", algo), tiny)
         assert len(record["returns"]) == (2 if cell.attack == "enchanting" else 4)
         assert record["estimate"]["mean"] == pytest.approx(np.mean(record["returns"]))
@@ -280,7 +280,7 @@ INTERRUPTED = """
 import sys
 from dataclasses import replace
 from pathlib import Path
-from detden_lite import runs, stages
+from detden_lite import evaluation, runs, stages
 
 runs.SHARD = 2
 run = runs.Run.of(Path(sys.argv[1]), "hopper", "td3", "tiny")
@@ -374,7 +374,7 @@ def test_the_command_line_publishes_models_and_records_but_no_trajectories(tiny,
     assert command_line("publish", "--scale", "tiny", "--root", str(tiny), data=tmp_path).returncode == 0
     published = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()}
     models = {f"hopper-td3/{name}" for name in ("victim", "detector-diverse", f"denoiser-{MAIN}", *ADVERSARIES)}
-    records = {f"results/{cell.record_name('hopper', 'td3')}.json" for cell in stages.cells(["none", MAIN])}
+    records = {f"results/{cell.record_name('hopper', 'td3')}.json" for cell in evaluation.cells(["none", MAIN])}
     expected = {f"{name}.{ending}" for name in models for ending in ("json", "safetensors")} | records
     assert published - {".manifest.lock"} == expected | {"hopper-td3/timing.json", "manifest.json"}
     artifacts.load_defense("hopper", "td3", MAIN, tmp_path)

@@ -1,0 +1,75 @@
+"""The cells of the tables: which defence meets which attack when, and their records."""
+
+from collections.abc import Iterable
+
+from detden_lite import ablations, artifacts, metrics, study
+from detden_lite.rollout import Episodes, rollout
+from detden_lite.runs import MAIN, VARIANTS, Run
+
+
+def cells(defenses=("none", MAIN)) -> list[study.Cell]:
+    """The cells of the tables, one defence after the other; "none" is the bare victim.
+
+    The main defence meets all four attacks, other trained ones those that need no planner, and assembled ones the
+    opposite attack, which the denoiser has seen, and the optimal one, which it has not.
+    """
+    both = ("always", "vulnerable")
+    found = []
+    for name in defenses:
+        found.append(study.Cell(defense=name))
+        if name == "none":
+            found += [study.Cell(attack) for attack in (*study.CONTROLS, "linear")]
+            found += [study.Cell(attack, timing) for attack in study.FOUR for timing in both]
+            found += [study.Cell("opposite", "random")]
+        elif name in VARIANTS:
+            attacks = study.FOUR if name == MAIN else ("opposite", "qfunction", "optimal")
+            found += [study.Cell(attack, timing, name) for attack in attacks for timing in both]
+        else:
+            found += [study.Cell(attack, "always", name) for attack in ("opposite", "optimal")]
+    return found
+
+
+def adaptive_cells(defense: str = MAIN) -> list[study.Cell]:
+    """The cells of the attacks that know the defence: always, since who fears them asks for the worst."""
+    return [study.Cell(attack, "always", defense) for attack in study.ADAPTIVE]
+
+
+def evaluate(run: Run, defenses=("none", MAIN), attacks=("none", *study.ATTACKS)) -> None:
+    """Every cell of the tables with these defences and attacks, a record each."""
+    run_cells(run, [cell for cell in cells(defenses) if cell.attack in attacks], run.threat())
+
+
+def adapt(run: Run) -> None:
+    """The cells of the attacks that know the main defence, a record each."""
+    run_cells(run, adaptive_cells(), run.threat())
+
+
+def run_cells(run: Run, wanted: Iterable[study.Cell], threat: study.Threat) -> None:
+    """Run these cells of the run's victim on the report's episodes, a record each; what is there is left as it is."""
+    victim = run.victim()
+    unattacked: dict[str, Episodes] = {}  # of the defence at hand: what its attacked cells are compared with
+    slow = ("enchanting", *study.ADAPTIVE)
+    for cell in wanted:
+        name = cell.record_name(run.task.name, run.algo)
+        path = run.root / "results" / f"{name}.json"
+        if artifacts.is_made(path, run.root):
+            continue
+        defense = None if cell.defense == "none" else ablations.load(run, cell.defense)
+        seeds = study.seeds("report", run.scale.episodes)
+        if defense is not None and cell.attack != "none" and cell.defense not in unattacked:
+            clean = rollout(victim, run.task, seeds, defense=defense, steps=run.scale.horizon)
+            unattacked = {cell.defense: clean}
+        record, episodes = study.run_cell(
+            cell, run.task, victim, threat, defense,
+            seeds[: run.scale.planned_episodes] if cell.attack in slow else seeds,
+            run.scale.horizon, progress=name, clean=unattacked.get(cell.defense),
+        )  # fmt: skip
+        if defense is not None and cell.attack == "none":
+            unattacked = {cell.defense: episodes}
+        artifacts.write_json(path, record, run.root)
+        print(f"{name}: {metrics.Estimate(**record['estimate'])}")
+
+
+def ablate(run: Run) -> None:
+    """The cells of the defences that are assembled around the main one."""
+    evaluate(run, tuple(ablations.ASSEMBLED))
