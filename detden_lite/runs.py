@@ -48,7 +48,7 @@ VARIANTS = {
     "regularized": Variant("diverse", tuple(ADVERSARIAL), dict(residual=True, lam=0.1)),
     "standard-prior": Variant("diverse", tuple(ADVERSARIAL), dict(residual=True, prior="standard")),
 }
-MAIN = "residual"  # the defence of the tables
+MAIN = "both"  # the defence of the tables
 
 
 @dataclass(frozen=True)

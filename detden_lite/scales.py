@@ -108,8 +108,8 @@ def defense_scale(name: str, task: Task) -> DefenseScale:
         return DefenseScale(tiny, trajectories=8, horizon=50, attack_steps=3)
     sizes = dict(hidden=task.hidden, layers=task.layers, latent=task.latent, learning_rate=task.learning_rate)
     return DefenseScale(
-        VAERecipe(**sizes, epochs=30 if name == "lite" else task.epochs, batch=task.batch),
-        trajectories=1_000 if name == "lite" else task.trajectories,
+        VAERecipe(**sizes, epochs=20 if name == "lite" else task.epochs, batch=task.batch),
+        trajectories=512 if name == "lite" else task.trajectories,
         horizon=task.horizon,
         attack_steps=20,
     )

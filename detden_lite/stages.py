@@ -80,9 +80,9 @@ def learn_q(run: Run, seed: int = 0) -> None:
 
 
 def collect(run: Run, data: str) -> None:
-    """D_normal, and held-out episodes, 1 for 8, for calibration: these as the defence will meet them, unexplored."""
+    """D_normal, and half as many held-out episodes for calibration: these as the defence will meet them, unexplored."""
     victim = run.victim()
-    held_out = max(4, run.scale.trajectories // 8)
+    held_out = run.scale.trajectories // 2
     wanted = [
         (f"normal-{data}", "normal", run.scale.trajectories, DATASETS[data]),
         ("calibration", "calibration", held_out, (0.0,)),

@@ -166,7 +166,8 @@ def run_cell(
     if cell.timing == "random":
         settings["rate"] = threat.rate
     if defense is not None:
-        settings["c_anomaly"] = defense.detector.threshold
+        threshold = defense.detector.threshold
+        settings["c_anomaly"] = threshold if np.isfinite(threshold) else None  # JSON knows no infinity
         settings |= dict.fromkeys(defense.ablations, True)
     record = dict(
         task=task.name,

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from detden_lite import artifacts, cards, defend, evaluation, stages
+from detden_lite import ablations, artifacts, cards, defend, evaluation
 from detden_lite.budget import Budget
 from detden_lite.metrics import estimate
 from detden_lite.rollout import rollout
+from detden_lite.runs import MAIN, VARIANTS, Run
 from detden_lite.study import Cell, Threat, run_cell, seeds
 from detden_lite.tasks import SWIMMER, get_task
 
@@ -26,7 +27,7 @@ VICTIMS = sorted(path.parent.name for path in DATA.glob("*/victim.safetensors"))
 DEFENSES = [
     (folder, variant)
     for folder in VICTIMS
-    for variant in stages.VARIANTS
+    for variant in VARIANTS
     if (DATA / folder / f"denoiser-{variant}.safetensors").exists()
 ]
 PAPERS = {"-".join(row) for row in cards.ROWS}
@@ -110,7 +111,7 @@ def test_every_record_is_of_the_models_that_are_shipped(name):
     timing = artifacts.read_json(DATA / folder / "timing.json", DATA) if folder in PAPERS else {}
     variant = found["cell"]["defense"]
     if variant != "none":
-        threshold = artifacts.load_defense(task, algo, variant, DATA).detector.threshold
+        threshold = ablations.load(Run.of(DATA, task, algo, "lite"), variant).detector.threshold
         assert found["settings"]["c_anomaly"] == threshold
     if found["cell"]["timing"] == "vulnerable":
         assert found["settings"]["c_vul"] == timing["c_vul"]
@@ -166,11 +167,11 @@ def test_the_sweep_over_sizes_of_that_policy_agrees_with_its_records(name):
 
 @pytest.mark.parametrize("folder", TABLES)
 @pytest.mark.parametrize(
-    "cell", [cell for cell in evaluation.cells(["none", "residual"]) if cell.attack == "opposite"], ids=str
+    "cell", [cell for cell in evaluation.cells(["none", MAIN]) if cell.attack == "opposite"], ids=str
 )
 def test_the_shipped_models_do_again_what_the_records_tell(folder, cell):
     """The share of 16 report episodes that have ended after 200 steps; rounding on another machine may change a few."""
-    run = stages.Run.of(DATA, *folder.split("-"), "lite")
+    run = Run.of(DATA, *folder.split("-"), "lite")
     timing = artifacts.read_json(run.folder / "timing.json", DATA)
     threat = Threat(run.budget, run.scale.attack_steps, c_vul=timing["c_vul"], rate=timing["attack_rate"])
     defense = None if cell.defense == "none" else run.defense(cell.defense)

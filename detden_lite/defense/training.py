@@ -40,7 +40,7 @@ class VAERecipe:
     beta: float = 1e-3
     epochs: int = 50
     batch: int = 128
-    chunk: int = 100  # steps of truncated backpropagation; the memory runs on from chunk to chunk
+    chunk: int = 25  # steps of truncated backpropagation; the memory runs on from chunk to chunk
     learning_rate: float = 1e-3
     lam: float = 0.0
     least_share: float = 1.0

@@ -138,7 +138,9 @@ def offline(obs_dim: int, action_dim: int, limit: float) -> None:
     torch.manual_seed(0)
     victim = Victim([obs_dim, HIDDEN, HIDDEN, action_dim])
     obs = torch.randn(ROWS, obs_dim)
-    makers = {"float32": lambda v: ours(v, torch.float32), "bfloat16": lambda v: ours(v, torch.bfloat16)}
+    makers = {"float32": lambda v: ours(v, torch.float32)}
+    if torch.cpu._is_amx_tile_supported():
+        makers["bfloat16"] = lambda v: ours(v, torch.bfloat16)
     makers |= {name: make for name, make in PEERS.items() if find_spec(name)}
     absent = [name for name in PEERS if not find_spec(name)]
     attacks = {name: make(victim) for name, make in makers.items()}
@@ -165,6 +167,8 @@ def offline(obs_dim: int, action_dim: int, limit: float) -> None:
     rivals = [speed[name] for name in speed if name in PEERS]
     if rivals:
         print(f"  ours is {speed['float32'] / max(rivals):.2f} times as fast as the fastest of the others")
+    if "bfloat16" not in makers:
+        print("  bfloat16: this processor has no AMX, without which it is slower than float32")
     if absent:
         print(f"  not installed: {', '.join(absent)} (see the head of this file)")
 
