@@ -91,6 +91,34 @@ def gallery(
         films.still(folder / f"{recording.stem}.png", run.task, three, seconds=seconds)
 
 
+def slip(run: Run, attack: str = "adaptive-opposite", begin: int = 125, steps: int = 300) -> None:
+    """A recording with a still of the first report episode: clean, attacked, and defended when the attacker knows it.
+
+    Args:
+        run: where.
+        attack: what the defended robot meets, one of ``study.ADAPTIVE``; the bare one meets the opposite attack.
+        begin: the first step that is attacked.
+        steps: the longest an episode may be.
+    """
+    from detden_lite import films, recordings
+
+    victim, defense, threat = run.victim(), run.defense(MAIN), run.threat()
+    steps = min(steps, run.scale.horizon)
+    begin = min(begin, steps // 2)
+
+    def play(name: str, **defended) -> Episodes:
+        made, timing = threat.attack(name, victim, run.task), After(begin)
+        return rollout(victim, run.task, study.seeds("report", 1), attack=made, timing=timing, steps=steps, **defended)
+
+    takes = dict(clean=play("none"), attacked=play("opposite"), defended=play(attack, defense=defense))
+    name = f"{run.folder.name}-adaptive"
+    recordings.record(
+        run.root / "recordings" / f"{name}.rrd", run.task, *takes.values(), threshold=defense.detector.threshold
+    )
+    end = takes["defended"].lengths[0]  # where it falls, or where the recording ends
+    films.still(run.root / "films" / f"{name}.png", run.task, takes, seconds=(end - 1) * Robot.of(run.task).dt)
+
+
 def _middle(values: np.ndarray) -> int:
     """Where the median is."""
     return int(np.argsort(values, kind="stable")[len(values) // 2])

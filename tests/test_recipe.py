@@ -26,7 +26,7 @@ JOBS = dict(
     victim=13, select=11, qfunction=5, trajectories=11, augmentation=11, detector=11, timing=10,
     choose=10, linear=10, attacks=10, evaluation=10, table=1, look=10, portrait=10,
     epsilon=1, planning=1, gallery=1, defend=1, baselines=1, threshold=1, ablation=1, all=1,
-    choose_defended=4, adaptive=4, barrier=1,
+    choose_defended=4, adaptive=4, barrier=1, slip=1,
 )  # fmt: skip
 
 
@@ -224,8 +224,8 @@ def test_a_run_makes_everything_of_its_row(killed):
 def test_how_long_the_stages_took_is_measured(killed):
     record = durations.measure(killed[0])
     assert set(record["rows"]["hopper-ppo"]) == set(durations.STAGES) - {
-        "look", "portrait", "epsilon", "planning", "barrier", "gallery", "defend", "baselines", "threshold",
-        "ablation",
+        "look", "portrait", "epsilon", "planning", "barrier", "gallery", "slip", "defend", "baselines",
+        "threshold", "ablation",
     }  # fmt: skip
     spent = record["rows"]["hopper-ppo"]
     assert all(stage["wall_seconds"] > 0 for stage in spent.values())
