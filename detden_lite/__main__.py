@@ -99,8 +99,7 @@ def parser() -> argparse.ArgumentParser:
         "--attacks", nargs="+", choices=study.ATTACKS, default=list(study.FOUR), help="default: %(default)s"
     )  # fmt: skip
     shown.add_argument("--variant", choices=VARIANTS, default=MAIN, help="default: %(default)s")
-    slipped = add("slip", gallery.slip, "record an episode whose attacker knows the main defence (needs a GL driver)")
-    slipped.add_argument("--attack", choices=study.ADAPTIVE, default="adaptive-opposite", help="default: %(default)s")
+    add("slip", gallery.slip, "record an episode under an attack that rings no alarm (needs a GL driver)")
     add("publish", stages.publish, "copy what is shipped into data/")
     add("table", tables.write, "gather the records of all victims in one table", parents=[where])
     took = add("durations", durations.show, "print how long each stage takes", parents=[where])

@@ -10,6 +10,7 @@ import numpy as np
 from detden_lite import study
 from detden_lite.attacked import NAMES
 from detden_lite.attacks import After
+from detden_lite.attacks.adaptive import StealthyAttack
 from detden_lite.playback import Robot
 from detden_lite.rollout import Episodes, rollout
 from detden_lite.runs import MAIN, Run
@@ -91,12 +92,14 @@ def gallery(
         films.still(folder / f"{recording.stem}.png", run.task, three, seconds=seconds)
 
 
-def slip(run: Run, attack: str = "adaptive-opposite", begin: int = 125, steps: int = 300) -> None:
-    """A recording with a still of the first report episode: clean, attacked, and defended when the attacker knows it.
+def slip(run: Run, begin: int = 125, steps: int = 300) -> None:
+    """A recording with a still of the first report episode, attacked by one who stays under the threshold.
+
+    The recording has it clean, under the opposite attack without a defence, and with the defence under the
+    ``StealthyAttack``.
 
     Args:
         run: where.
-        attack: what the defended robot meets, one of ``study.ADAPTIVE``; the bare one meets the opposite attack.
         begin: the first step that is attacked.
         steps: the longest an episode may be.
     """
@@ -105,13 +108,16 @@ def slip(run: Run, attack: str = "adaptive-opposite", begin: int = 125, steps: i
     victim, defense, threat = run.victim(), run.defense(MAIN), run.threat()
     steps = min(steps, run.scale.horizon)
     begin = min(begin, steps // 2)
-
-    def play(name: str, **defended) -> Episodes:
-        made, timing = threat.attack(name, victim, run.task), After(begin)
-        return rollout(victim, run.task, study.seeds("report", 1), attack=made, timing=timing, steps=steps, **defended)
-
-    takes = dict(clean=play("none"), attacked=play("opposite"), defended=play(attack, defense=defense))
-    name = f"{run.folder.name}-adaptive"
+    opposite = threat.attack("opposite", victim, run.task)
+    played = dict(
+        clean={}, attacked=dict(attack=opposite),
+        defended=dict(attack=StealthyAttack(opposite, **threat.adaptive), defense=defense),
+    )  # fmt: skip
+    takes = {
+        name: rollout(victim, run.task, study.seeds("report", 1), timing=After(begin), steps=steps, **parts)
+        for name, parts in played.items()
+    }
+    name = f"{run.folder.name}-stealthy"
     recordings.record(
         run.root / "recordings" / f"{name}.rrd", run.task, *takes.values(), threshold=defense.detector.threshold
     )

@@ -16,7 +16,7 @@ from test_budget import cases, excess
 from torch import Tensor
 
 from detden_lite.attacks import EnchantingAttack, OppositeAttack, QFunctionAttack
-from detden_lite.attacks.adaptive import AdaptiveAttack, CoupledAttack, GradientFreeAttack, Outcome
+from detden_lite.attacks.adaptive import AdaptiveAttack, CoupledAttack, GradientFreeAttack, Outcome, StealthyAttack
 from detden_lite.attacks.informed import View, look, one_step
 from detden_lite.attacks.printed import PrintedAttack
 from detden_lite.budget import Budget
@@ -195,6 +195,14 @@ def test_the_worst_point_is_found_whether_it_deceives_the_detector_or_the_denois
     assert silent.any() and (kept < 0.5 or not silent.all())
 
 
+def test_the_stealthy_attack_finds_the_worst_point_that_rings_no_alarm():
+    victim, obs, toy, _ = a_box(0.06, 0.8)  # where more is to be had through the denoiser
+    *_, most = a_box(0.06, 0.0)  # the same box, and nothing is to be had there
+    found = strike(StealthyAttack(OppositeAttack(victim, Budget(EPSILON)), **SEARCH, look=see), obs, toy)
+    assert ((found - toy.prediction).abs().amax(-1) <= toy.radius).all()
+    assert torch.allclose(moved(victim, obs, toy, found), most, rtol=1e-3)
+
+
 def test_it_is_never_weaker_than_the_attack_that_does_not_know_the_defence():
     for radius, kept in ((-1.0, 0.5), (0.06, 0.8), (0.09, 0.0), (inf, 0.0)):
         victim, obs, toy, _ = a_box(radius, kept)
@@ -279,11 +287,13 @@ def made(kind: str, plain, look=look):
             return AdaptiveAttack(plain, **SMALL, look=look)
         case "gradient-free":
             return GradientFreeAttack(plain, population=4, elites=2, **SMALL | dict(steps=2), look=look)
+        case "stealthy":
+            return StealthyAttack(plain, **SMALL, look=look)
         case "coupled":
             return CoupledAttack(plain, 0.5, **SMALL, look=look)
 
 
-KINDS = ["text", "appendix", "adaptive", "gradient-free", "coupled"]
+KINDS = ["text", "appendix", "adaptive", "gradient-free", "stealthy", "coupled"]
 
 
 @settings(steady, max_examples=25)
