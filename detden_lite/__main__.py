@@ -5,7 +5,19 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from detden_lite import ablations, adversaries, durations, evaluation, gallery, own, stages, study, sweeps, tables
+from detden_lite import (
+    ablations,
+    adversaries,
+    barrier,
+    durations,
+    evaluation,
+    gallery,
+    own,
+    stages,
+    study,
+    sweeps,
+    tables,
+)
 from detden_lite.artifacts import ArtifactError
 from detden_lite.runs import DATASETS, MAIN, VARIANTS, Run
 from detden_lite.scales import ALGORITHMS, SCALES
@@ -72,6 +84,10 @@ def parser() -> argparse.ArgumentParser:
     add("ablate", evaluation.ablate, "run the cells of ablations, baselines and ceilings")
     add("defend", own.defend_victim, "defend the victim in one call, and evaluate it with the defence and without")
     add("adapt", evaluation.adapt, "run the cells of the attacks that know the main defence")
+    add("barrier", barrier.barrier, "measure what the noise of the latents costs an attacker").add_argument(
+        "--variants", nargs="+", choices=VARIANTS, default=list(barrier.VARIANTS),
+        help="the defences to look at; default: %(default)s",
+    )  # fmt: skip
     add("epsilon", sweeps.epsilon, "attack at several sizes of the ball")
     add("planning", sweeps.planning, "run the enchanting attack with several planners")
     add("look", gallery.look, "record and film an episode, attacked and not (needs a GL driver)").add_argument(
@@ -83,6 +99,7 @@ def parser() -> argparse.ArgumentParser:
         "--attacks", nargs="+", choices=study.ATTACKS, default=list(study.FOUR), help="default: %(default)s"
     )  # fmt: skip
     shown.add_argument("--variant", choices=VARIANTS, default=MAIN, help="default: %(default)s")
+    add("slip", gallery.slip, "record an episode under an attack that rings no alarm (needs a GL driver)")
     add("publish", stages.publish, "copy what is shipped into data/")
     add("table", tables.write, "gather the records of all victims in one table", parents=[where])
     took = add("durations", durations.show, "print how long each stage takes", parents=[where])

@@ -16,8 +16,9 @@ from detden_lite.victim_training import train_victim
 
 STAGES = (
     "victim", "select", "qfunction", "trajectories", "augmentation", "detector", "denoiser", "baselines", "threshold",
-    "timing", "adversary", "choose", "linear", "attacks", "evaluation", "ablation", "look", "portrait",
-    "epsilon", "planning", "gallery", "defend",
+    "timing", "adversary", "choose", "adversary_defended", "choose_defended", "linear", "attacks", "evaluation",
+    "ablation", "adaptive", "look", "portrait", "epsilon", "planning", "barrier", "gallery", "slip",
+    "defend",
 )  # fmt: skip
 RECORD = "durations.json"  # in data/
 

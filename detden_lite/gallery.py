@@ -10,6 +10,7 @@ import numpy as np
 from detden_lite import study
 from detden_lite.attacked import NAMES
 from detden_lite.attacks import After
+from detden_lite.attacks.adaptive import StealthyAttack
 from detden_lite.playback import Robot
 from detden_lite.rollout import Episodes, rollout
 from detden_lite.runs import MAIN, Run
@@ -89,6 +90,39 @@ def gallery(
         recording = run.root / "recordings" / f"{run.folder.name}-{name}.rrd"
         recordings.record(recording, run.task, *three.values(), threshold=defense.detector.threshold)
         films.still(folder / f"{recording.stem}.png", run.task, three, seconds=seconds)
+
+
+def slip(run: Run, begin: int = 125, steps: int = 300) -> None:
+    """A recording with a still of the first report episode, attacked by one who stays under the threshold.
+
+    The recording has it clean, under the opposite attack without a defence, and with the defence under the
+    ``StealthyAttack``.
+
+    Args:
+        run: where.
+        begin: the first step that is attacked.
+        steps: the longest an episode may be.
+    """
+    from detden_lite import films, recordings
+
+    victim, defense, threat = run.victim(), run.defense(MAIN), run.threat()
+    steps = min(steps, run.scale.horizon)
+    begin = min(begin, steps // 2)
+    opposite = threat.attack("opposite", victim, run.task)
+    played = dict(
+        clean={}, attacked=dict(attack=opposite),
+        defended=dict(attack=StealthyAttack(opposite, **threat.adaptive), defense=defense),
+    )  # fmt: skip
+    takes = {
+        name: rollout(victim, run.task, study.seeds("report", 1), timing=After(begin), steps=steps, **parts)
+        for name, parts in played.items()
+    }
+    name = f"{run.folder.name}-stealthy"
+    recordings.record(
+        run.root / "recordings" / f"{name}.rrd", run.task, *takes.values(), threshold=defense.detector.threshold
+    )
+    end = takes["defended"].lengths[0]  # where it falls, or where the recording ends
+    films.still(run.root / "films" / f"{name}.png", run.task, takes, seconds=(end - 1) * Robot.of(run.task).dt)
 
 
 def _middle(values: np.ndarray) -> int:

@@ -16,7 +16,7 @@ from test_budget import cases, excess
 from torch import Tensor
 
 from detden_lite.attacks import EnchantingAttack, OppositeAttack, QFunctionAttack
-from detden_lite.attacks.adaptive import AdaptiveAttack, CoupledAttack, GradientFreeAttack, Outcome
+from detden_lite.attacks.adaptive import AdaptiveAttack, CoupledAttack, GradientFreeAttack, Outcome, StealthyAttack
 from detden_lite.attacks.informed import View, look, one_step
 from detden_lite.attacks.printed import PrintedAttack
 from detden_lite.budget import Budget
@@ -29,6 +29,7 @@ from detden_lite.simulator import Simulator
 from detden_lite.victims import Victim
 
 EPSILON = 0.1
+SEARCH = dict(steps=80, restarts=6, samples=1, fresh=1)  # on a toy whose worst point is to be found
 SMALL = dict(steps=3, restarts=1, samples=2, fresh=3)
 
 
@@ -188,10 +189,18 @@ def moved(victim: Victim, obs: Tensor, toy: Toy, seen: Tensor) -> Tensor:
 @pytest.mark.parametrize("radius, kept", [(0.06, 0.8), (0.08, 0.3)])
 def test_the_worst_point_is_found_whether_it_deceives_the_detector_or_the_denoiser(radius, kept):
     victim, obs, toy, most = a_box(radius, kept)
-    found = strike(AdaptiveAttack(OppositeAttack(victim, Budget(EPSILON)), restarts=6, look=see), obs, toy)
+    found = strike(AdaptiveAttack(OppositeAttack(victim, Budget(EPSILON)), **SEARCH, look=see), obs, toy)
     assert torch.allclose(moved(victim, obs, toy, found), most, rtol=1e-3)
     silent = (found - toy.prediction).abs().amax(-1) <= radius
     assert silent.any() and (kept < 0.5 or not silent.all())
+
+
+def test_the_stealthy_attack_finds_the_worst_point_that_rings_no_alarm():
+    victim, obs, toy, _ = a_box(0.06, 0.8)  # where more is to be had through the denoiser
+    *_, most = a_box(0.06, 0.0)  # the same box, and nothing is to be had there
+    found = strike(StealthyAttack(OppositeAttack(victim, Budget(EPSILON)), **SEARCH, look=see), obs, toy)
+    assert ((found - toy.prediction).abs().amax(-1) <= toy.radius).all()
+    assert torch.allclose(moved(victim, obs, toy, found), most, rtol=1e-3)
 
 
 def test_it_is_never_weaker_than_the_attack_that_does_not_know_the_defence():
@@ -203,14 +212,14 @@ def test_it_is_never_weaker_than_the_attack_that_does_not_know_the_defence():
         assert (moved(victim, obs, toy, found) >= moved(victim, obs, toy, unaware)).all()
 
 
-@pytest.mark.parametrize("form", ["text", "appendix"])
-def test_a_denoiser_without_a_gradient_stops_the_printed_attack_alone(form):
+def test_a_denoiser_without_a_gradient_stops_the_printed_attacks_alone():
     """It puts out the truth, whatever it sees: what is to be gained is under the detector's nose."""
     victim, obs, toy, most = a_box(0.06, 0.0)
-    plain = OppositeAttack(victim, Budget(EPSILON), steps=100)
-    printed = moved(victim, obs, toy, strike(PrintedAttack(plain, form, look=see), obs, toy))
-    assert printed.mean() < 0.2 * most.mean()
-    found = strike(AdaptiveAttack(plain, restarts=6, look=see), obs, toy)
+    plain = OppositeAttack(victim, Budget(EPSILON), steps=80)
+    for form in ("text", "appendix"):
+        printed = moved(victim, obs, toy, strike(PrintedAttack(plain, form, look=see), obs, toy))
+        assert printed.mean() < 0.2 * most.mean()
+    found = strike(AdaptiveAttack(plain, **SEARCH, look=see), obs, toy)
     assert torch.allclose(moved(victim, obs, toy, found), most, rtol=1e-3)
 
 
@@ -278,11 +287,13 @@ def made(kind: str, plain, look=look):
             return AdaptiveAttack(plain, **SMALL, look=look)
         case "gradient-free":
             return GradientFreeAttack(plain, population=4, elites=2, **SMALL | dict(steps=2), look=look)
+        case "stealthy":
+            return StealthyAttack(plain, **SMALL, look=look)
         case "coupled":
             return CoupledAttack(plain, 0.5, **SMALL, look=look)
 
 
-KINDS = ["text", "appendix", "adaptive", "gradient-free", "coupled"]
+KINDS = ["text", "appendix", "adaptive", "gradient-free", "stealthy", "coupled"]
 
 
 @settings(steady, max_examples=25)

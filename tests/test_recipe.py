@@ -26,6 +26,7 @@ JOBS = dict(
     victim=13, select=11, qfunction=5, trajectories=11, augmentation=11, detector=11, timing=10,
     choose=10, linear=10, attacks=10, evaluation=10, table=1, look=10, portrait=10,
     epsilon=1, planning=1, gallery=1, defend=1, baselines=1, threshold=1, ablation=1, all=1,
+    choose_defended=4, adaptive=4, barrier=1, slip=1,
 )  # fmt: skip
 
 
@@ -61,7 +62,9 @@ def jobs(scale: str) -> dict[str, int]:
     """How many jobs of each rule a scale plans for all ten rows, and for the one that is not the paper's."""
     config = yaml.safe_load((DATA / "config" / f"{scale}.yaml").read_text())
     variants = [config["variants"].get(row, config["variants"]["default"]) for row in ROWS]
-    return JOBS | dict(denoiser=sum(map(len, variants)), adversary=len(ROWS) * config["adversaries"])
+    members, adapted = config["adversaries"], len(config["adapted"])
+    trained = dict(adversary=len(ROWS) * members, adversary_defended=adapted * members)
+    return JOBS | dict(denoiser=sum(map(len, variants))) | trained
 
 
 def planned(printed: str) -> dict[str, int]:
@@ -74,10 +77,15 @@ def planned(printed: str) -> dict[str, int]:
 def test_every_scale_plans_the_whole_graph_for_all_ten_rows(tmp_path, scale):
     config = yaml.safe_load((DATA / "config" / f"{scale}.yaml").read_text())
     assert config["scale"] == scale and config["rows"] == ROWS and config["own"] == ["swimmer-ppo"]
+    assert set(config["adapted"]) <= set(ROWS)
     printed = run(tmp_path, "--dry-run", "--printshellcmds", scale=scale)
     members = [len(get_scale(scale, TASKS[row.split("-")[0]], row.split("-")[1]).adversaries) for row in ROWS]
     assert planned(printed) == jobs(scale) and sum(members) == jobs(scale)["adversary"]
     assert set(re.findall(r"--member (\d+)", printed)) == {str(member) for member in range(max(members))}
+    for stage in ("adversary", "choose", "adapt"):  # with the defence inside for some rows, and for those alone
+        told = re.findall(rf"detden_lite {stage} --task (\w+) --algo (\w+) .*", printed)
+        inside = re.findall(rf"detden_lite {stage} --task (\w+) --algo (\w+) .*--defended", printed)
+        assert {"-".join(row) for row in (told if stage == "adapt" else inside)} == set(config["adapted"])
     assert set(re.findall(r"--scale (\w+)", printed)) == {scale}
     named = re.findall(r"detden_lite victim --task (\w+) --algo (\w+) .*--seed (\d)", printed)
     expected = [(*row.split("-"), "0") for row in (*ROWS, "swimmer-ppo")] + [("hopper", "td3", s) for s in "12"]
@@ -113,7 +121,8 @@ def test_a_row_may_be_asked_for_alone_and_without_films(tmp_path):
     assert rows == dict(
         victim=4, select=2, qfunction=1, trajectories=3, augmentation=3, detector=3, denoiser=9, timing=2,
         adversary=4, choose=2, linear=2, attacks=2, evaluation=2, table=1, epsilon=1,
-        planning=1, baselines=1, threshold=1, ablation=1, all=1,
+        planning=1, baselines=1, threshold=1, ablation=1, adversary_defended=2, choose_defended=1, adaptive=1,
+        barrier=1, all=1,
     )  # fmt: skip
     own = planned(run(tmp_path, "--dry-run", "--config", "only=swimmer-ppo"))
     assert own == dict(victim=1, select=1, defend=1, all=1)
@@ -152,6 +161,9 @@ def test_the_graph_for_the_book_is_that_of_the_stages():
     assert {("adversary", "choose"), ("choose", "attacks"), ("linear", "attacks"), ("attacks", "table")} <= set(
         graph.edges
     )
+    assert {("adversary_defended", "choose_defended"), ("choose_defended", "adaptive"), ("adaptive", "table")} <= set(
+        graph.edges
+    )
     assert {rule for rule, head in graph.edges if head == "all"} >= {"table", "look", "portrait"}
 
 
@@ -187,7 +199,7 @@ def test_a_killed_run_goes_on_and_makes_nothing_twice(killed):
     assert len([name for name in had if name.endswith(".safetensors")]) >= 8
     assert len([name for name in had if name.startswith("results/")]) >= 1
     # A training that was under way goes on from its last checkpoint, and writes again what came after that.
-    trainings = {name: re.match(r".+/checkpoints/adversary-\d+/", name) for name in had}
+    trainings = {name: re.match(r".+/checkpoints/(defended-)?adversary-\d+/", name) for name in had}
     under_way = {name for name, training in trainings.items() if training and f"{training.group()}done" not in had}
     kept = {name: written for name, written in had.items() if name not in under_way}
     assert {name: now.get(name) for name in kept} == kept
@@ -197,11 +209,12 @@ def test_a_killed_run_goes_on_and_makes_nothing_twice(killed):
 
 def test_a_run_makes_everything_of_its_row(killed):
     folder, _ = killed
-    names = {cell.record_name("hopper", "ppo") for cell in evaluation.cells(["none", MAIN])}
+    cells = evaluation.cells(["none", MAIN]) + evaluation.adaptive_cells()
+    names = {cell.record_name("hopper", "ppo") for cell in cells}
     assert {path.stem for path in (folder / "results").glob("*.json")} == names
     assert artifacts.load_victim("hopper", "ppo", folder).critics
     artifacts.load_defense("hopper", "ppo", MAIN, folder)
-    assert all(artifacts.load_adversary("hopper", "ppo", kind, folder).obs_dim == 11 for kind in ("optimal", "linear"))
+    assert all(artifacts.load_adversary("hopper", "ppo", kind, folder).obs_dim == 11 for kind in artifacts.ADVERSARIES)
     with (folder / "tables" / "returns.csv").open(newline="") as file:
         assert {
             ".".join([line[key] for key in ("row", "attack", "timing", "defense")]) for line in csv.DictReader(file)
@@ -211,11 +224,14 @@ def test_a_run_makes_everything_of_its_row(killed):
 def test_how_long_the_stages_took_is_measured(killed):
     record = durations.measure(killed[0])
     assert set(record["rows"]["hopper-ppo"]) == set(durations.STAGES) - {
-        "look", "portrait", "epsilon", "planning", "gallery", "defend", "baselines", "threshold", "ablation",
+        "look", "portrait", "epsilon", "planning", "barrier", "gallery", "slip", "defend", "baselines",
+        "threshold", "ablation",
     }  # fmt: skip
     spent = record["rows"]["hopper-ppo"]
     assert all(stage["wall_seconds"] > 0 for stage in spent.values())
-    assert {name: stage["jobs"] for name, stage in spent.items()} == dict.fromkeys(spent, 1) | dict(adversary=2)
+    assert {name: stage["jobs"] for name, stage in spent.items()} == dict.fromkeys(spent, 1) | dict(
+        adversary=2, adversary_defended=2
+    )
 
 
 def test_a_finished_run_has_nothing_to_do_and_what_is_lost_is_made_anew(killed):
@@ -223,7 +239,8 @@ def test_a_finished_run_has_nothing_to_do_and_what_is_lost_is_made_anew(killed):
     only = ("--dry-run", "--config", "only=hopper-ppo", "films=false")
     assert "Nothing to be done" in run(folder, *only)
     (folder / "hopper-ppo" / f"denoiser-{MAIN}.json").unlink()
-    assert set(planned(run(folder, *only))) == {"denoiser", "evaluation", "table", "all"}
+    again = {"denoiser", "adversary_defended", "choose_defended", "evaluation", "adaptive", "table", "all"}
+    assert set(planned(run(folder, *only))) == again
 
 
 def test_the_files_may_lie_on_a_volume_that_snakemake_does_not_see(tmp_path):
@@ -231,6 +248,14 @@ def test_the_files_may_lie_on_a_volume_that_snakemake_does_not_see(tmp_path):
     run(work, "walker2d-ppo/victim.json", "--jobs", "2", "--config", f"root={volume}")
     assert artifacts.load_victim("walker2d", "ppo", volume).obs_dim == 17
     assert (work / "walker2d-ppo" / "victim.json").read_bytes() == b""
+
+
+def test_whom_the_defended_adversaries_attack_is_the_librarys_main_defence(tmp_path):
+    printed = run(tmp_path, "--dry-run", "--printshellcmds", "--config", "only=hopper-td3")
+    for rule in ("adversary_defended", "adaptive"):
+        needed = re.search(rf"rule {rule}:\n    input: (.+)\n", printed)[1].split(", ")
+        parts = {f"hopper-td3/detector-{VARIANTS[MAIN].data}.json", f"hopper-td3/denoiser-{MAIN}.json"}
+        assert {name for name in needed if re.search("detector.*json|denoiser.*json", name)} == parts
 
 
 def test_what_each_variant_is_trained_on_is_what_the_library_says(tmp_path):

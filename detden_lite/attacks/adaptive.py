@@ -54,22 +54,21 @@ class Outcome:
         """The expected damage of what the defended policy really does, ``[n]``."""
         return torch.where(self.alarm, self.denoised, self.bare).mean(0)
 
-    def quiet(self) -> Tensor:
-        """A stand-in for damage under the detector's nose: pi(o_hat)'s, and where most samples alarm, what is too much.
+    def quiet(self, allowed: float = 0.5) -> Tensor:
+        """A stand-in for damage under the detector's nose: pi(o_hat)'s, and where too many samples alarm, the excess.
 
         There every component that deviates too far counts, not only the worst: so all are taken back at once.
+
+        Args:
+            allowed: the part of the samples that may alarm.
         """
         excess = (self.deviation - self.threshold).relu().sum(-1).mean(0)
-        return torch.where(self._rings, FORBIDDEN * (1 + excess), self.bare)
+        return torch.where(self.alarm.float().mean(0) > allowed, FORBIDDEN * (1 + excess), self.bare)
 
     def loud(self) -> Tensor:
         """A stand-in for damage through the denoiser: pi(den(o_hat))'s, and where most are silent, what is missing."""
         missing = (self.threshold - self.deviation.amax(-1)).relu().mean(0)
-        return torch.where(self._rings, self.denoised.mean(0), FORBIDDEN * (1 + missing))
-
-    @property
-    def _rings(self) -> Tensor:
-        return self.alarm.float().mean(0) > 0.5
+        return torch.where(self.alarm.float().mean(0) > 0.5, self.denoised.mean(0), FORBIDDEN * (1 + missing))
 
 
 class AdaptiveAttack(InformedAttack):
@@ -96,6 +95,9 @@ class AdaptiveAttack(InformedAttack):
     Raises:
         ValueError: if one of the numbers is not above 0.
     """
+
+    aim: Callable[[Outcome], Tensor] = staticmethod(lambda outcome: outcome.damage)  # what the best point has most of
+    ways: tuple[Callable[[Outcome], Tensor], ...] = (Outcome.quiet, Outcome.loud)  # what is climbed
 
     def __init__(
         self, attack: GradientAttack, steps: int = 100, restarts: int = 1, samples: int = 8, fresh: int = 32,
@@ -127,15 +129,15 @@ class AdaptiveAttack(InformedAttack):
 
         def measure(perturbed: Tensor, stand_in: Callable[[Outcome], Tensor]) -> tuple[Tensor, Tensor]:
             found = outcome(perturbed)
-            return found.damage, stand_in(found)
+            return self.aim(found), stand_in(found)
 
         candidates = [project(true), project(unaware)]
         for start in (unaware, *(self.budget.sample(true, draws) for _ in range(self.restarts))):
-            for stand_in in (Outcome.quiet, Outcome.loud):
+            for stand_in in self.ways:
                 problem = partial(measure, stand_in=stand_in), start, project, self.budget
                 candidates.append(self.search(*problem, draws=draws))
         judge = partial(outcome, view=look(self.fresh))
-        best = torch.stack([judge(point).damage for point in candidates]).argmax(0)
+        best = torch.stack([self.aim(judge(point)) for point in candidates]).argmax(0)
         found = obs.clone()
         found[wanted] = torch.stack(candidates)[best, torch.arange(len(true))]
         return found
@@ -165,6 +167,16 @@ class GradientFreeAttack(AdaptiveAttack):
 
     def search(self, *problem, draws: Draws) -> Tensor:
         return evolve(*problem, self.steps, self.population, self.elites, draws)
+
+
+class StealthyAttack(AdaptiveAttack):
+    """The way under the threshold alone: the most damage to pi(o_hat) of which no sample rings the alarm.
+
+    It is weaker than ``AdaptiveAttack``, and nobody notices. Where even o rings, it gives what rings the least.
+    """
+
+    aim = staticmethod(partial(Outcome.quiet, allowed=0.0))
+    ways = (aim,)
 
 
 class CoupledAttack(AdaptiveAttack):

@@ -1,0 +1,115 @@
+"""Checks of the chapter on attackers who know the defence."""
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from detden_lite.checks.compare import array, compare
+
+
+def check_hidden(hidden: Callable[[Callable, Tensor, Tensor, Tensor], Tensor]) -> None:
+    """``hidden(det, obs, perturbed, scale)`` is large where the detector sees little of the attack, ``[N]``."""
+    shift = torch.tensor([0.3, -0.2, 0.5])
+
+    def det(seen: Tensor) -> Tensor:
+        return 0.5 * seen + shift
+
+    obs = torch.tensor([[1.0, 2.0, 0.0], [-1.0, 0.5, 1.0]])
+    perturbed = (obs + torch.tensor([[0.1, -0.1, 0.1], [-0.1, 0.1, 0.1]])).requires_grad_()
+    scale = torch.tensor([1.0, 2.0, 0.5])
+    deviation = perturbed - det(perturbed)
+    right, appendix = -(deviation / scale).abs().amax(-1), ((det(perturbed) - obs) / scale).abs().amax(-1)
+    mistakes = {
+        "That is the score itself. To make it large rings the alarm: mind the sign": -right,
+        "That is appendix B's, distance from o: the detector never sees o. It compares what it is shown, perturbed": (
+            appendix
+        ),
+        "The sign is right, and the distance is from obs; the detector compares with what it is shown": -appendix,
+        "The detector is shown perturbed, and not obs": -((perturbed - det(obs)) / scale).abs().amax(-1),
+        "The attacker's change is not in it: that is the score of the truth": (
+            -((obs - det(obs)) / scale).abs().amax(-1)
+        ),
+        "Divide by scale: the detector's score is z-scored": -deviation.abs().amax(-1),
+        "Divide by scale, do not multiply": -(deviation * scale).abs().amax(-1),
+        "The score is the LARGEST deviation; that is the mean": -(deviation / scale).abs().mean(-1),
+        "The score is the LARGEST deviation; that is the sum": -(deviation / scale).abs().sum(-1),
+        "The score is the largest deviation in size: abs() before amax": -(deviation / scale).amax(-1),
+    }
+    call = "hidden(det, obs, perturbed, scale)"
+    got = hidden(det, obs, perturbed, scale)
+    assert array(call, got).shape != (), f"{call} gives one number for both observations; each has its own"
+    compare(call, got, right.detach(), {hint: wrong.detach() for hint, wrong in mistakes.items()})
+    assert getattr(got, "requires_grad", False), (
+        f"{call} has no gradient: without `no_grad` and `detach`, autograd finds it through the detector"
+    )
+    print("Right. It grows where the score falls, and o does not occur in it: no detector knows o.")
+
+
+def check_eot_gradient(eot_gradient: Callable[[Callable, Tensor, Tensor], Tensor]) -> None:
+    """``eot_gradient(damage, perturbed, noises)`` is the gradient of the mean damage over K samples, like perturbed."""
+    draw = torch.Generator().manual_seed(0)
+    noises, perturbed = torch.randn(5, 4, 3, generator=draw), torch.randn(4, 3, generator=draw)
+
+    def damage(seen: Tensor, noise: Tensor) -> Tensor:
+        assert seen.shape == noise.shape == (4, 3), (
+            f"damage is asked about perturbed {tuple(seen.shape)} with noise {tuple(noise.shape)}: give it one sample "
+            "at a time, [N, latent_dim]"
+        )
+        return torch.sin(seen * (1 + noise)).sum(-1)
+
+    def slope(noise: Tensor) -> Tensor:
+        return torch.cos(perturbed * (1 + noise)) * (1 + noise)
+
+    every = torch.stack([slope(noise) for noise in noises])
+    right = every.mean(0)
+    mistakes = {
+        "That is the gradient in one sample": every[0],
+        "That is the gradient in the last sample: do you overwrite what you add up?": every[-1],
+        "That is the sum over the samples; take their mean": every.sum(0),
+        "That is the gradient at the mean NOISE. The mean of the damage is another function": slope(noises.mean(0)),
+        "That is the gradient without noise": slope(torch.zeros(4, 3)),
+        "Minus the gradient: the attacker wants the damage to grow": -right,
+        "The mean is over the K samples, not over the N observations": right / 4,
+        "That is the mean of the gradients' SIGNS; take the sign of the mean, and leave that to the attack": (
+            every.sign().mean(0)
+        ),
+    }
+    call = "eot_gradient(damage, perturbed, noises)"
+    try:
+        got = eot_gradient(damage, perturbed.clone(), noises)
+    except RuntimeError as error:
+        assert "does not require grad" not in str(error), (
+            f"{call}: autograd follows only what requires a gradient; begin with perturbed.detach().requires_grad_()"
+        )
+        raise
+    compare(call, got, right, mistakes)
+    print("Right. Noise whose mean is known is no secret.")
+
+
+def check_straight_through(straight_through: Callable[[Callable, Tensor], Tensor]) -> None:
+    """``straight_through(defense, perturbed)`` is defense(perturbed), and its gradient the identity's."""
+
+    def defense(seen: Tensor) -> Tensor:
+        return (seen / 0.25).round() * 0.25
+
+    perturbed = torch.tensor([[0.3, -0.4], [0.9, 0.05]], requires_grad=True)
+    call = "straight_through(defense, perturbed)"
+    got = straight_through(defense, perturbed)
+    mistakes = {
+        "That is what went in. The policy is shown what the defence makes of it": perturbed.detach(),
+        "That is only what the defence changes": (defense(perturbed) - perturbed).detach(),
+        "Both terms are in it, and one too many: perturbed + (defense(perturbed) - perturbed)": (
+            (perturbed + defense(perturbed)).detach()
+        ),
+    }
+    compare(call, got, defense(perturbed).detach(), mistakes)
+    assert getattr(got, "requires_grad", False), (
+        f"{call} has no gradient: detach the defence's CHANGE alone, and leave perturbed as it is"
+    )
+    (gradient,) = torch.autograd.grad(got.sum(), perturbed)
+    hints = {
+        "Its value is right and its gradient the defence's own, 0: detach what the defence changes": torch.zeros(2, 2)
+    }
+    compare("the gradient of its sum", gradient, torch.ones(2, 2), hints)
+    print("Right. Forwards it is the defence, backwards it is not there.")
