@@ -72,6 +72,23 @@ def detector_scores(attacked: np.ndarray, alarm: np.ndarray) -> DetectorScores:
     )
 
 
+def f1_at(rate: float, misses: float, false_alarms: float) -> float:
+    """The F1 of a detector with these error rates where this part of the steps is attacked.
+
+    Args:
+        rate: of the attack, above 0 and at most 1.
+        misses: the false-negative rate, 0 to 1.
+        false_alarms: the false-positive rate, 0 to 1.
+    """
+    if not (0 < rate <= 1 and 0 <= misses <= 1 and 0 <= false_alarms <= 1):
+        raise ValueError(
+            f"rate must be above 0, and rate, misses and false_alarms at most 1 and not negative, not {rate}, {misses} "
+            f"and {false_alarms}"
+        )
+    hit = rate * (1 - misses)
+    return 2 * hit / (2 * hit + rate * misses + (1 - rate) * false_alarms)
+
+
 def auroc(positive: np.ndarray, negative: np.ndarray) -> float | None:
     """How probably a positive's score is above a negative's, ties counting half: the area under the ROC curve.
 

@@ -16,6 +16,7 @@ from detden_lite.metrics import (
     detection_delays,
     detector_scores,
     estimate,
+    f1_at,
     iqm,
     live_dimensions,
     mean_absolute_error,
@@ -65,6 +66,22 @@ def test_detector_scores_by_hand():
     assert scores.f1 == pytest.approx(2 * (3 / 5) * (3 / 4) / (3 / 5 + 3 / 4))
     assert scores.false_negative_rate == pytest.approx(1 / 4)
     assert scores.false_positive_rate == pytest.approx(2 / 6)
+
+
+@given(hit=st.integers(0, 50), miss=st.integers(0, 50), false=st.integers(0, 50), right=st.integers(1, 50))
+def test_f1_at_a_rate_is_the_f1_of_steps_that_are_counted(hit, miss, false, right):
+    attacked = np.repeat([True, True, False, False], [hit, miss, false, right])
+    alarm = np.repeat([True, False, True, False], [hit, miss, false, right])
+    scores = detector_scores(attacked, alarm)
+    if hit + miss:
+        found = f1_at(attacked.mean(), scores.false_negative_rate, scores.false_positive_rate)
+        assert found == pytest.approx(scores.f1)
+
+
+@pytest.mark.parametrize("rates", [(0, 0.1, 0.1), (1.1, 0.1, 0.1), (0.5, -0.1, 0.1), (0.5, 0.1, 2), (np.nan, 0, 0)])
+def test_an_f1_at_what_is_no_rate_is_refused(rates):
+    with pytest.raises(ValueError, match="rate"):
+        f1_at(*rates)
 
 
 def test_a_rate_of_nothing_is_none():

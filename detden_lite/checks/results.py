@@ -1,0 +1,147 @@
+"""Checks of the chapter that puts the defence on trial."""
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from detden_lite.checks.compare import array, compare
+from detden_lite.metrics import detector_scores
+
+
+def check_kept_share(kept_share: Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[float, float, float]]) -> None:
+    """``kept_share(defended, clean, drawn)`` is the part that is kept and both ends of its paired interval."""
+    rng = np.random.default_rng(0)
+    clean = rng.uniform(100, 1_000, 40)
+    defended = 0.8 * clean + rng.normal(0, 20, 40)
+    drawn = rng.integers(40, size=(500, 40))
+
+    def ends(ratios: np.ndarray, tail: float = 0.025) -> tuple[float, float, float]:
+        return defended.mean() / clean.mean(), *np.quantile(ratios, [tail, 1 - tail])
+
+    ratios = defended[drawn].mean(1) / clean[drawn].mean(1)
+    quotients = defended / clean
+    alone = defended[drawn].mean(1) / clean.mean()
+    right = ends(ratios)
+    mistakes = {
+        "That is the mean of the episodes' ratios; it should be the ratio of the two means": (
+            quotients.mean(),
+            *np.quantile(quotients[drawn].mean(1), [0.025, 0.975]),
+        ),
+        "The drawn episodes' ratios are averaged; it should be the ratio of the drawn episodes' means": ends(
+            quotients[drawn].mean(1)
+        ),
+        "The clean mean stays as it is in every draw: draw its episodes as well, and the same ones": ends(alone),
+        "That is 90 % of the draws: leave 2.5 % on either side": ends(ratios, 0.05),
+        "Those are the smallest and the largest draw: leave 2.5 % on either side": ends(ratios, 0),
+        "The first number is the mean of the draws; it should be of the episodes": (ratios.mean(), *right[1:]),
+        "Average over the episodes of a draw, its last axis, not over the draws": ends(
+            defended[drawn].mean(0) / clean[drawn].mean(0)
+        ),
+    }
+    compare("kept_share(defended, clean, drawn)", kept_share(defended, clean, drawn), right, mistakes, atol=1e-9)
+    wide = np.ptp(defended[drawn].mean(1) / clean[np.roll(drawn, 1, 0)].mean(1))
+    print(
+        f"Right. These returns rise and fall together, so that pairing pays: drawn apart, the ratios spread over "
+        f"{wide:.2f}, drawn together over {np.ptp(ratios):.2f}."
+    )
+
+
+def check_worst_elsewhere(worst_elsewhere: Callable[[np.ndarray, np.ndarray], float]) -> None:
+    """``worst_elsewhere(chosen_on, reported_on)``: attacks in the rows, other episodes in either's columns."""
+    chosen_on = np.array([[5, 9, 7], [2, 12, 10], [5, 6, 6], [4, 20, 20.0]])
+    reported_on = np.array([[3, 1, 5], [9, 0, 3], [6, 7, 8], [9, 9, 9.6]])
+    worst = chosen_on.mean(1).argmin()
+    mistakes = {
+        "The attack is chosen on the episodes that it is reported on": reported_on.mean(1).min(),
+        "The right attack, but reported on the episodes that it was chosen on": chosen_on[worst].mean(),
+        "Another attack is chosen in every episode: average over the episodes first": reported_on.min(0).mean(),
+        "The attack is chosen by its worst episode; choose it by its mean": reported_on[1].mean(),
+        "That attack leaves the most; the worst one leaves the least": reported_on[chosen_on.mean(1).argmax()].mean(),
+        "That is the mean over all attacks": reported_on.mean(),
+    }
+    call, right = "worst_elsewhere(chosen_on, reported_on)", reported_on[worst].mean()
+    compare(call, worst_elsewhere(chosen_on, reported_on), right, mistakes, atol=1e-9)
+    print(
+        f"Right. It left {chosen_on[worst].mean():.2f} where it was chosen and leaves {right:.2f} elsewhere: some of "
+        "its strength was the luck of those episodes."
+    )
+
+
+def check_f1(f1: Callable[[float, float, float], float]) -> None:
+    """``f1(rate, misses, false_alarms)`` is the F1 of a detector with these error rates at this attack rate."""
+    for attacked, missed, clean, false in ((20, 5, 80, 8), (100, 1, 9_900, 99), (990, 0, 10, 10), (50, 50, 50, 1)):
+        truth = np.arange(attacked + clean) < attacked
+        alarm = np.concatenate(
+            [np.arange(attacked) >= missed, np.arange(clean) < false]
+        )  # counted, not calculated: a second way to the same number
+        rate, misses, alarms = attacked / len(truth), missed / attacked, false / clean
+        hit = rate * (1 - misses)
+        raised = hit + (1 - rate) * alarms
+        mistakes = {
+            "The false alarms are a part of the CLEAN steps: weigh them by 1 - rate": (
+                2 * hit / (2 * hit + rate * misses + alarms)
+            ),
+            "The misses are a part of the ATTACKED steps: weigh them by the rate": (
+                2 * hit / (2 * hit + misses + (1 - rate) * alarms)
+            ),
+            "The rate is not in it: of all steps, which part is attacked and found?": (
+                2 * (1 - misses) / (2 * (1 - misses) + misses + alarms)
+            ),
+            "That is the precision: the part of the alarms that are right": hit / raised if raised else 0,
+            "That is the recall: the part of the attacked steps that are found": 1 - misses,
+            "That is the accuracy": hit + (1 - rate) * (1 - alarms),
+            "Hits count twice, above and below": hit / (hit + rate * misses + (1 - rate) * alarms),
+        }
+        call = f"f1({rate:g}, {misses:g}, {alarms:g})"
+        compare(call, f1(rate, misses, alarms), detector_scores(truth, alarm).f1, mistakes, atol=1e-9)
+    print(
+        f"Right. A detector that always raises the alarm has {f1(0.99, 0, 1):.3f} if 99 % of the steps are attacked. "
+        f"One that errs in 1 % of either kind has {f1(0.01, 0.01, 0.01):.2f} if 1 % are."
+    )
+
+
+def check_felt(felt: Callable[[Callable[[Tensor], Tensor], Tensor, Tensor], Tensor]) -> None:
+    """``felt(policy, obs, denoised)`` is how far each number's error alone moves the action, ``[obs_dim]``."""
+    draw = torch.Generator().manual_seed(0)
+    obs = torch.randn(6, 4, generator=draw)
+    denoised = obs + 0.3 * torch.randn(6, 4, generator=draw)
+    weights = torch.randn(4, 2, generator=draw)
+
+    def policy(rows: Tensor) -> Tensor:
+        assert rows.ndim == 2 and rows.shape[1] == 4, (
+            f"the policy takes whole observations [N, 4]; it was given the shape {list(rows.shape)}"
+        )
+        return (rows @ weights).tanh()
+
+    def apart(other: Tensor, base: Tensor = obs) -> Tensor:
+        return (policy(other) - policy(base)).norm(dim=-1)
+
+    def swapped(base: Tensor, other: Tensor, upto: bool = False) -> list[Tensor]:
+        """``base`` with one number of ``other``, for each of the numbers; or with all numbers up to it."""
+        places = [torch.arange(4) <= i if upto else torch.arange(4) == i for i in range(4)]
+        return [torch.where(place, other, base) for place in places]
+
+    right = torch.stack([apart(mixed).mean() for mixed in swapped(obs, denoised)])
+    mistakes = {
+        "The numbers before it are still wrong: begin with a fresh copy of obs for each of them": torch.stack(
+            [apart(mixed).mean() for mixed in swapped(obs, denoised, upto=True)]
+        ),
+        "One number is true and all others are wrong; it should be the other way round": torch.stack(
+            [apart(mixed).mean() for mixed in swapped(denoised, obs)]
+        ),
+        "That is the error of the observation; how far does the ACTION move?": (denoised - obs).abs().mean(0),
+        "Several actions: take the norm of the difference, for every row": torch.stack(
+            [(policy(mixed) - policy(obs)).abs().mean() for mixed in swapped(obs, denoised)]
+        ),
+        "Take the mean over the rows": torch.stack([apart(mixed).sum() for mixed in swapped(obs, denoised)]),
+        "The mean comes last: errors of opposite signs cancel otherwise": torch.stack(
+            [(policy(mixed) - policy(obs)).mean(0).norm() for mixed in swapped(obs, denoised)]
+        ),
+    }
+    given = obs.clone()
+    result = array("felt(policy, obs, denoised)", felt(policy, given, denoised))
+    assert torch.equal(given, obs), "obs itself was changed; work on a copy of it: obs.clone()"
+    compare("felt(policy, obs, denoised)", result, right, mistakes)
+    print("Right. What the mean over all numbers hides, this shows number by number.")

@@ -1,0 +1,164 @@
+"""Every check passes on a solution, lets a stub's NotImplementedError through, and fails on plausible mistakes."""
+
+import numpy as np
+import pytest
+import torch
+
+from detden_lite.checks import results as checks
+
+
+def kept_share(defended, clean, drawn):
+    ratios = defended[drawn].mean(1) / clean[drawn].mean(1)
+    return defended.mean() / clean.mean(), *np.quantile(ratios, [0.025, 0.975])
+
+
+def worst_elsewhere(chosen_on, reported_on):
+    return reported_on[chosen_on.mean(1).argmin()].mean()
+
+
+def f1(rate, misses, false_alarms):
+    hit = rate * (1 - misses)
+    return 2 * hit / (2 * hit + rate * misses + (1 - rate) * false_alarms)
+
+
+def felt(policy, obs, denoised):
+    found = []
+    for i in range(obs.shape[1]):
+        mixed = obs.clone()
+        mixed[:, i] = denoised[:, i]
+        found.append((policy(mixed) - policy(obs)).norm(dim=-1).mean())
+    return torch.stack(found)
+
+
+CHECKS = {
+    checks.check_kept_share: kept_share,
+    checks.check_worst_elsewhere: worst_elsewhere,
+    checks.check_f1: f1,
+    checks.check_felt: felt,
+}
+
+
+def test_the_solutions_pass(capsys):
+    for check, solution in CHECKS.items():
+        check(solution)
+    assert capsys.readouterr().out.count("Right") == len(CHECKS)
+
+
+@pytest.mark.parametrize("check", CHECKS)
+def test_a_stub_is_let_through(check):
+    def stub(*arguments):
+        raise NotImplementedError("Exercise 8.1: a title")
+
+    with pytest.raises(NotImplementedError):
+        check(stub)
+
+
+def _ends(ratios, tail=0.025):
+    return np.quantile(ratios, [tail, 1 - tail])
+
+
+@pytest.mark.parametrize(
+    ("mistake", "says"),
+    [
+        (lambda d, c, i: None, "gives None"),
+        (lambda d, c, i: kept_share(d, c, i)[0], "shape"),
+        (lambda d, c, i: ((d / c).mean(), *_ends((d / c)[i].mean(1))), "ratio of the two means"),
+        (lambda d, c, i: (d.mean() / c.mean(), *_ends((d / c)[i].mean(1))), "drawn episodes' means"),
+        (lambda d, c, i: (d.mean() / c.mean(), *_ends(d[i].mean(1) / c.mean())), "the same ones"),
+        (lambda d, c, i: (d.mean() / c.mean(), *_ends(d[i].mean(1) / c[i].mean(1), 0.05)), "90 %"),
+        (lambda d, c, i: (d.mean() / c.mean(), *_ends(d[i].mean(1) / c[i].mean(1), 0)), "largest draw"),
+        (lambda d, c, i: ((d[i].mean(1) / c[i].mean(1)).mean(), *kept_share(d, c, i)[1:]), "mean of the draws"),
+        (lambda d, c, i: (d.mean() / c.mean(), *_ends(d[i].mean(0) / c[i].mean(0))), "last axis"),
+        (lambda d, c, i: (d.mean() / c.mean(), *_ends(d[i].mean(1) / c[i[::-1]].mean(1))), "it should be"),
+    ],
+)
+def test_a_wrong_share_is_told(mistake, says):
+    with pytest.raises(AssertionError, match=says):
+        checks.check_kept_share(mistake)
+
+
+@pytest.mark.parametrize(
+    ("mistake", "says"),
+    [
+        (lambda chosen, shown: shown.mean(1).min(), "chosen on the episodes that it is reported on"),
+        (lambda chosen, shown: chosen.mean(1).min(), "reported on the episodes that it was chosen on"),
+        (lambda chosen, shown: shown.min(0).mean(), "every episode"),
+        (lambda chosen, shown: shown[chosen.min(1).argmin()].mean(), "its worst episode"),
+        (lambda chosen, shown: shown[chosen.mean(1).argmax()].mean(), "leaves the most"),
+        (lambda chosen, shown: shown.mean(), "all attacks"),
+        (lambda chosen, shown: shown[chosen.mean(1).argmin()], "shape"),
+    ],
+)
+def test_a_wrong_worst_case_is_told(mistake, says):
+    with pytest.raises(AssertionError, match=says):
+        checks.check_worst_elsewhere(mistake)
+
+
+@pytest.mark.parametrize(
+    ("mistake", "says"),
+    [
+        (lambda r, m, f: 2 * r * (1 - m) / (2 * r * (1 - m) + r * m + f), "CLEAN"),
+        (lambda r, m, f: 2 * r * (1 - m) / (2 * r * (1 - m) + m + (1 - r) * f), "ATTACKED"),
+        (lambda r, m, f: 2 * (1 - m) / (2 * (1 - m) + m + f), "rate is not in it"),
+        (lambda r, m, f: r * (1 - m) / (r * (1 - m) + (1 - r) * f), "precision"),
+        (lambda r, m, f: 1 - m, "recall"),
+        (lambda r, m, f: r * (1 - m) + (1 - r) * (1 - f), "accuracy"),
+        (lambda r, m, f: r * (1 - m) / (r + (1 - r) * f), "twice"),
+        (lambda r, m, f: f1(r, m, f) + 0.01, "it should be"),
+    ],
+)
+def test_a_wrong_f1_is_told(mistake, says):
+    with pytest.raises(AssertionError, match=says):
+        checks.check_f1(mistake)
+
+
+def _accumulated(policy, obs, denoised):
+    mixed, found = obs.clone(), []
+    for i in range(obs.shape[1]):
+        mixed[:, i] = denoised[:, i]
+        found.append((policy(mixed) - policy(obs)).norm(dim=-1).mean())
+    return torch.stack(found)
+
+
+def _in_place(policy, obs, denoised):
+    truth = policy(obs)
+    found = []
+    for i in range(obs.shape[1]):
+        obs[:, i] = denoised[:, i]
+        found.append((policy(obs) - truth).norm(dim=-1).mean())
+    return torch.stack(found)
+
+
+def _with(distance):
+    def mistake(policy, obs, denoised):
+        moved = []
+        for i in range(obs.shape[1]):
+            mixed = torch.where(torch.arange(obs.shape[1]) == i, denoised, obs)
+            moved.append(distance(policy(mixed) - policy(obs)))
+        return torch.stack(moved)
+
+    return mistake
+
+
+def _others_wrong(policy, obs, denoised):
+    mixed = [torch.where(torch.arange(obs.shape[1]) == i, obs, denoised) for i in range(obs.shape[1])]
+    return torch.stack([(policy(m) - policy(obs)).norm(dim=-1).mean() for m in mixed])
+
+
+@pytest.mark.parametrize(
+    ("mistake", "says"),
+    [
+        (_accumulated, "fresh copy"),
+        (_in_place, "itself was changed"),
+        (_others_wrong, "the other way round"),
+        (lambda policy, obs, denoised: (denoised - obs).abs().mean(0), "ACTION"),
+        (lambda policy, obs, denoised: policy(obs[:, 0]), "whole observations"),
+        (_with(lambda moved: moved.abs().mean()), "take the norm"),
+        (_with(lambda moved: moved.norm(dim=-1).sum()), "mean over the rows"),
+        (_with(lambda moved: moved.mean(0).norm()), "cancel"),
+        (_with(lambda moved: moved.norm(dim=-1)), "shape"),
+    ],
+)
+def test_a_wrong_sensitivity_is_told(mistake, says):
+    with pytest.raises(AssertionError, match=says):
+        checks.check_felt(mistake)
