@@ -27,7 +27,7 @@ from detden_lite.study import seeds
 SAMPLES = (1, 2, 4, 8, 16)  # K
 FRESH = 256  # samples that judge, none of which an attacker has seen
 AT = (10, 40, 160)  # steps of the episodes that are looked at
-VARIANTS = (MAIN, "both", "standard-prior")  # the last two differ in their prior alone
+VARIANTS = (MAIN, "standard-prior")  # they differ in their prior alone
 
 
 @dataclass(frozen=True)
