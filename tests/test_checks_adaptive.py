@@ -1,4 +1,4 @@
-"""Every check passes on a solution, lets a stub's NotImplementedError through, and fails on plausible mistakes."""
+"""Every check passes on a solution and fails on plausible mistakes."""
 
 import pytest
 import torch
@@ -34,21 +34,6 @@ def test_other_ways_to_say_the_same_pass():
         lambda damage, x, noises: torch.stack([eot_gradient(damage, x, noise[None]) for noise in noises]).mean(0)
     )
     checks.check_straight_through(lambda defense, x: defense(x).detach() + x - x.detach())
-
-
-@pytest.mark.parametrize("check", CHECKS)
-def test_a_stub_is_let_through(check):
-    def stub(*arguments):
-        raise NotImplementedError("Exercise 9.1: a title")
-
-    with pytest.raises(NotImplementedError):
-        check(stub)
-
-
-@pytest.mark.parametrize("check", CHECKS)
-def test_a_function_that_returns_nothing_is_told_so(check):
-    with pytest.raises(AssertionError, match="return"):
-        check(lambda *arguments: None)
 
 
 @pytest.mark.parametrize(

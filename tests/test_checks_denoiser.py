@@ -1,4 +1,4 @@
-"""Every check passes on a solution, lets a stub's NotImplementedError through, and fails on plausible mistakes."""
+"""Every check passes on a solution and fails on plausible mistakes."""
 
 import numpy as np
 import pytest
@@ -32,18 +32,6 @@ def test_the_solutions_pass(capsys):
     checks.check_replace_on_alarm(replace_on_alarm)
     checks.check_mae_attacked(mae)
     assert capsys.readouterr().out.count("Right") == 4
-
-
-@pytest.mark.parametrize(
-    "check",
-    [checks.check_augment, checks.check_denoiser_loss, checks.check_replace_on_alarm, checks.check_mae_attacked],
-)
-def test_a_stub_is_let_through(check):
-    def stub(*arguments):
-        raise NotImplementedError("Exercise 4.1: a title")
-
-    with pytest.raises(NotImplementedError):
-        check(stub)
 
 
 def _only_the_last(obs, attack):

@@ -4,26 +4,6 @@ import pytest
 from detden_lite.checks import mdp
 
 
-def stub(*args):
-    raise NotImplementedError("Exercise 1.1: to be done")
-
-
-@pytest.mark.parametrize(
-    "check", [mdp.check_returns_to_go, mdp.check_returns_and_lengths, mdp.check_choose, mdp.check_interval]
-)
-def test_a_stub_says_what_is_to_be_done(check):
-    with pytest.raises(NotImplementedError, match="Exercise 1.1"):
-        check(stub)
-
-
-@pytest.mark.parametrize(
-    "check", [mdp.check_returns_to_go, mdp.check_returns_and_lengths, mdp.check_choose, mdp.check_interval]
-)
-def test_a_function_that_returns_nothing_is_told_so(check):
-    with pytest.raises(AssertionError):
-        check(lambda *args: None)
-
-
 class TestReturnsToGo:
     @staticmethod
     def right(reward, gamma):

@@ -1,4 +1,4 @@
-"""Every check passes on a solution, lets a stub's NotImplementedError through, and fails on plausible mistakes."""
+"""Every check passes on a solution and fails on plausible mistakes."""
 
 import pytest
 import torch
@@ -39,21 +39,6 @@ def test_the_solutions_pass(capsys):
 def test_other_ways_to_say_the_same_pass():
     checks.check_r_ppo(lambda a, b, s: torch.einsum("nti,ij,ntj->nt", a - b, torch.diag(s**-2), a - b))
     checks.check_survives(lambda a, d: 1 - ((d - a) ** 2).mean() / a.var(0, unbiased=False).mean())
-
-
-@pytest.mark.parametrize("check", CHECKS)
-def test_a_stub_is_let_through(check):
-    def stub(*arguments):
-        raise NotImplementedError("Exercise 7.1: a title")
-
-    with pytest.raises(NotImplementedError):
-        check(stub)
-
-
-@pytest.mark.parametrize("check", CHECKS)
-def test_a_function_that_returns_nothing_is_told_so(check):
-    with pytest.raises(AssertionError, match="return"):
-        check(lambda *arguments: None)
 
 
 @pytest.mark.parametrize(

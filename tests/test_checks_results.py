@@ -1,4 +1,4 @@
-"""Every check passes on a solution, lets a stub's NotImplementedError through, and fails on plausible mistakes."""
+"""Every check passes on a solution and fails on plausible mistakes."""
 
 import numpy as np
 import pytest
@@ -42,15 +42,6 @@ def test_the_solutions_pass(capsys):
     for check, solution in CHECKS.items():
         check(solution)
     assert capsys.readouterr().out.count("Right") == len(CHECKS)
-
-
-@pytest.mark.parametrize("check", CHECKS)
-def test_a_stub_is_let_through(check):
-    def stub(*arguments):
-        raise NotImplementedError("Exercise 8.1: a title")
-
-    with pytest.raises(NotImplementedError):
-        check(stub)
 
 
 def _ends(ratios, tail=0.025):

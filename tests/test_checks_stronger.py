@@ -1,27 +1,10 @@
-"""Every check passes on a solution, lets a stub's NotImplementedError through, and knows the planted mistakes."""
+"""Every check passes on a solution and knows the planted mistakes."""
 
 import numpy as np
 import pytest
 import torch
 
 from detden_lite.checks import stronger
-
-CHECKS = [stronger.check_q_objective, stronger.check_refit, stronger.check_adversary_step]
-
-
-@pytest.mark.parametrize("check", CHECKS)
-def test_a_stub_says_what_is_to_be_done(check):
-    def stub(*args):
-        raise NotImplementedError("Exercise 5.1: to be done")
-
-    with pytest.raises(NotImplementedError, match="Exercise 5.1"):
-        check(stub)
-
-
-@pytest.mark.parametrize("check", CHECKS)
-def test_a_function_that_returns_nothing_is_told_so(check):
-    with pytest.raises(AssertionError, match="return"):
-        check(lambda *args: None)
 
 
 class TestQObjective:

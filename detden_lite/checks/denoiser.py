@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from detden_lite.checks.compare import array
 from detden_lite.defense.gruvae import GRUVAE, kl_divergence, reconstruction_loss
 
 
@@ -116,7 +117,7 @@ def check_mae_attacked(mae: Callable[..., float]) -> None:
     denoised[..., 0] *= -1  # an error has a sign until its absolute value is taken
     attacked = np.array([[1, 1], [1, 0], [0, 0], [1, 1]], dtype=bool)
     mask = np.array([[1, 1], [1, 1], [1, 1], [0, 0]], dtype=bool)
-    result = float(mae(denoised, obs, attacked, mask))
+    result = float(array("mae(denoised, obs, attacked, mask)", mae(denoised, obs, attacked, mask)))
     error = np.abs(denoised - obs)
     right = error[attacked & mask].mean()
     mistakes = {

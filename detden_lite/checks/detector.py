@@ -7,6 +7,8 @@ import torch
 from torch import Tensor
 from torch.distributions import Independent, Normal, kl_divergence
 
+from detden_lite.checks.compare import array
+
 
 def check_sample_latent(sample_latent: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None:
     """``sample_latent(mean, log_variance, noise)`` makes z ~ N(mean, exp(log_variance)) of standard normal noise."""
@@ -76,7 +78,7 @@ def check_calibrate(calibrate: Callable[[np.ndarray, float], float]) -> None:
     """``calibrate(clean_scores, false_alarm_rate)`` is the threshold that this fraction of clean scores exceeds."""
     scores = np.random.default_rng(0).permutation(np.linspace(0, 1, 2_001) ** 4)
     for rate in (0.01, 0.1):
-        threshold = calibrate(scores, rate)
+        threshold = array("calibrate(clean_scores, rate)", calibrate(scores, rate))
         assert np.ndim(threshold) == 0, f"the threshold is one number; yours has the shape {np.shape(threshold)}"
         above = float((scores > threshold).mean())
         assert not np.isclose(above, 1 - rate, atol=0.005), (

@@ -1,0 +1,38 @@
+"""What every check of an exercise does with a student's function that is not written yet, or gives nothing back."""
+
+import pkgutil
+from importlib import import_module
+
+import pytest
+
+from detden_lite import checks
+
+CHECKS = [
+    check
+    for module in pkgutil.iter_modules(checks.__path__, f"{checks.__name__}.")
+    for name, check in vars(import_module(module.name)).items()
+    if name.startswith("check_")
+]
+OTHERWISE = {  # these say what is to be given, and not that nothing was
+    "check_counterexample", "check_exact_and_pinsker", "check_false_step", "check_denoiser_loss",
+    "check_replace_on_alarm", "check_kl", "check_choose", "check_interval",
+}  # fmt: skip
+
+
+def test_every_chapter_with_exercises_has_checks():
+    assert len({check.__module__ for check in CHECKS}) == 9
+
+
+@pytest.mark.parametrize("check", CHECKS)
+def test_a_stub_is_let_through_and_says_what_is_to_be_done(check):
+    def stub(*arguments, **named):
+        raise NotImplementedError("Exercise 1.1: to be done")
+
+    with pytest.raises(NotImplementedError, match="Exercise 1.1"):
+        check(stub)
+
+
+@pytest.mark.parametrize("check", CHECKS)
+def test_a_function_that_returns_nothing_is_told_so(check):
+    with pytest.raises(AssertionError, match="give|yours|number" if check.__name__ in OTHERWISE else "return"):
+        check(lambda *arguments, **named: None)
