@@ -38,9 +38,7 @@ def load(task: str, algo: str, root: Path = artifacts.DATA) -> dict[tuple[str, s
     Raises:
         ArtifactError: if one of them is altered.
     """
-    names = {cell: study.Cell(*cell).record_name(task, algo) for cell in CELLS}
-    there = {cell: name for cell, name in names.items() if (root / "results" / f"{name}.json").exists()}
-    return {cell: artifacts.load_record(name, root) for cell, name in there.items()}
+    return evaluation.load(evaluation.cells(("none",)), task, algo, root)
 
 
 def strongest(records: Mapping[tuple[str, str], Mapping]) -> tuple[str, str] | None:

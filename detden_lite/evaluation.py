@@ -1,6 +1,7 @@
 """The cells of the tables: which defence meets which attack when, and their records."""
 
 from collections.abc import Iterable
+from pathlib import Path
 
 from detden_lite import ablations, artifacts, metrics, study
 from detden_lite.rollout import Episodes, rollout
@@ -32,6 +33,19 @@ def cells(defenses=("none", MAIN)) -> list[study.Cell]:
 def adaptive_cells(defense: str = MAIN) -> list[study.Cell]:
     """The cells of the attacks that know the defence: always, since who fears them asks for the worst."""
     return [study.Cell(attack, "always", defense) for attack in study.ADAPTIVE]
+
+
+def load(
+    wanted: Iterable[study.Cell], task: str, algo: str, root: Path = artifacts.DATA
+) -> dict[tuple[str, str], dict]:
+    """The records of a victim's cells that are there, by (attack, timing); the cells are of one defence.
+
+    Raises:
+        ArtifactError: if one of them is altered.
+    """
+    names = {(cell.attack, cell.timing): cell.record_name(task, algo) for cell in wanted}
+    there = {cell: name for cell, name in names.items() if (root / "results" / f"{name}.json").exists()}
+    return {cell: artifacts.load_record(name, root) for cell, name in there.items()}
 
 
 def evaluate(run: Run, defenses=("none", MAIN), attacks=("none", *study.ATTACKS)) -> None:

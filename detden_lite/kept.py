@@ -29,9 +29,7 @@ def load(task: str, algo: str, defense: str = MAIN, root: Path = artifacts.DATA)
     Raises:
         ArtifactError: if one of them is altered.
     """
-    names = {(cell.attack, cell.timing): cell.record_name(task, algo) for cell in evaluation.cells((defense,))}
-    there = {cell: name for cell, name in names.items() if (root / "results" / f"{name}.json").exists()}
-    return {cell: artifacts.load_record(name, root) for cell, name in there.items()}
+    return evaluation.load(evaluation.cells((defense,)), task, algo, root)
 
 
 def worst(records: Mapping[tuple[str, str], Mapping]) -> tuple[str, str] | None:
