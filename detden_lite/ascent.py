@@ -55,21 +55,31 @@ def ascend(
 
 def _climb(objective, obs: Tensor, budget: Budget, starts: list[Tensor], steps: int, step_size: float) -> Tensor:
     slope = getattr(objective, "value_and_gradient", None) or partial(value_and_gradient, objective)
-    best, best_value = obs, torch.full(obs.shape[:1], -torch.inf, dtype=obs.dtype)
-
-    def keep_best(x: Tensor, value: Tensor) -> None:
-        nonlocal best, best_value
-        better = value > best_value
-        best = torch.where(better[:, None], x, best)
-        best_value = torch.where(better, value, best_value)
-
+    best = Best(obs)
     project = budget.projection(obs)
     for start in starts:
         x = project(start)
         for _ in range(steps):
             value, gradient = slope(x)
-            keep_best(x, value)
+            best.meet(x, value)
             x = project(x.add(budget.steepest(gradient), alpha=step_size))
         with torch.no_grad():
-            keep_best(x, objective(x))
-    return best
+            best.meet(x, objective(x))
+    return best.point
+
+
+class Best:
+    """The best point met so far, row by row.
+
+    Args:
+        point: ``[n, obs_dim]``, which any value above minus infinity beats.
+    """
+
+    def __init__(self, point: Tensor):
+        self.point, self.value = point, torch.full(point.shape[:1], -torch.inf, dtype=point.dtype)
+
+    def meet(self, point: Tensor, value: Tensor) -> None:
+        """Keep the rows of ``point`` ``[n, obs_dim]`` whose value ``[n]`` is above those kept."""
+        better = value > self.value
+        self.point = torch.where(better[:, None], point, self.point)
+        self.value = torch.where(better, value, self.value)

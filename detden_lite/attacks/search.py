@@ -5,6 +5,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from detden_lite.ascent import Best
 from detden_lite.budget import Budget
 from detden_lite.draws import Draws
 
@@ -25,7 +26,8 @@ def climb(measure: Measure, start: Tensor, project: Project, budget: Budget, ste
         budget: in whose norm steps are measured.
         steps: how many.
     """
-    x, best = project(start), _Best()
+    x = project(start)
+    best = Best(x)
     for step in range(steps):
         length = budget.epsilon * min(2.0, 15 / steps) * (1 - step / steps) ** 2
         x.requires_grad_()
@@ -55,7 +57,8 @@ def evolve(
         elites: how many of them are elites.
         draws: of the points, of n rows.
     """
-    mean, spread, best = project(start), torch.as_tensor(budget.epsilon * budget.scale), _Best()
+    mean, spread = project(start), torch.as_tensor(budget.epsilon * budget.scale)
+    best = Best(mean)
     for _ in range(steps):
         points = [project(mean + spread * draws.normal(*start.shape)) for _ in range(population)]
         stand_ins = []
@@ -67,16 +70,3 @@ def evolve(
         elite = torch.stack(points).gather(0, first[..., None].expand(-1, *start.shape))
         mean, spread = elite.mean(0), elite.std(0)
     return best.point
-
-
-class _Best:
-    """The best point met so far, row by row."""
-
-    point: Tensor | None = None
-
-    def meet(self, point: Tensor, value: Tensor) -> None:
-        if self.point is None:
-            self.point, self.value = point, value
-        better = value > self.value
-        self.point = torch.where(better[:, None], point, self.point)
-        self.value = torch.where(better, value, self.value)
