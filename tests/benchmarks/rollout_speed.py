@@ -1,8 +1,9 @@
-"""Environment steps a second on one thread: episodes in lockstep against one at a time, with the same networks.
+"""Environment steps a second on one thread: clean episodes in lockstep against one at a time, with the same policy.
 
-Clean, and under PGD-20 with the defence; then where the time goes and what bounds it; then, for four tasks, clean
-episodes as a share of bare physics, with gymnasium's own loop and with the fast simulator. Run by ``make bench``. All
-times are CPU times, so that other programs on the machine disturb less; what is compared is measured in turns.
+Then where the time of an attacked and defended step goes and what bounds it; then, for four tasks, clean episodes as a
+share of bare physics, with gymnasium's own loop and with the fast simulator. Attacked and defended episodes have a
+benchmark of their own, ``defended_speed.py``. Run by ``make bench``. All times are CPU times, so that other programs on
+the machine disturb less; what is compared is measured in turns.
 """
 
 from collections.abc import Callable
@@ -30,28 +31,21 @@ ATTACK = OppositeAttack(VICTIM, Budget(TASK.epsilon), steps=20)
 ROUNDS = 3
 
 
-def lockstep(attack=None, defense=None) -> float:
-    """Steps a second of N episodes with one call of each network a step."""
+def lockstep() -> float:
+    """Steps a second of N episodes with one call of the policy a step."""
     start = process_time()
-    episodes = rollout(VICTIM, TASK, range(N), attack=attack, defense=defense, steps=STEPS)
+    episodes = rollout(VICTIM, TASK, range(N), steps=STEPS)
     return episodes.lengths.sum() / (process_time() - start)
 
 
 @torch.no_grad()
-def one_at_a_time(attack=None, defense=None) -> float:
+def one_at_a_time() -> float:
     """Steps a second of one episode, in the loop that everybody writes first."""
     env = gymnasium.make(TASK.env_id)
     start = process_time()
     obs, _ = env.reset(seed=0)
-    for part in (attack, defense):
-        if part is not None:
-            part.reset([0])
     for step in range(STEPS):  # noqa: B007
         seen = torch.tensor(obs[None], dtype=torch.float32)
-        if attack is not None:
-            seen = attack(seen)
-        if defense is not None:
-            seen = defense(seen).obs
         obs, _, terminated, _, _ = env.step(VICTIM(seen)[0].numpy())
         if terminated:
             break
@@ -136,11 +130,10 @@ def share_of_physics(name: str, steps: int) -> None:
 
 
 if __name__ == "__main__":
-    for title, parts in (("clean", {}), ("PGD-20 + defence", dict(attack=ATTACK, defense=DEFENSE))):
-        rounds = np.array([(lockstep(**parts), one_at_a_time(**parts)) for _ in range(ROUNDS)])
-        together, alone = np.median(rounds, axis=0)
-        ratio = np.median(rounds[:, 0] / rounds[:, 1])
-        print(f"{title:<17}{together:8,.0f} steps/s at N = {N},{alone:7,.0f} one at a time: {ratio:.1f} times as fast")
+    rounds = np.array([(lockstep(), one_at_a_time()) for _ in range(ROUNDS)])
+    together, alone = np.median(rounds, axis=0)
+    ratio = np.median(rounds[:, 0] / rounds[:, 1])
+    print(f"clean: {together:,.0f} steps/s at N = {N}, {alone:,.0f} one at a time: {ratio:.1f} times as fast")
     where_the_time_goes()
     for name, steps in (("hopper", 300), ("halfcheetah", 300), ("ant", 100), ("humanoid", 100)):
         share_of_physics(name, steps)
