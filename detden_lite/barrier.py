@@ -112,7 +112,7 @@ def signal_to_noise(model: GRUVAE, obs: Tensor) -> Tensor:
 
 @torch.no_grad()
 def measure(
-    attack: OppositeAttack, defense: DetectAndDenoise, episodes: Episodes, at: Sequence[int], steps: int = 20
+    attack: OppositeAttack, defense: DetectAndDenoise, episodes: Episodes, at: Sequence[int], steps: int
 ) -> dict:
     """What the barrier of one defence is worth, ready for JSON.
 
@@ -155,5 +155,5 @@ def barrier(run: Run, variants: Sequence[str] = VARIANTS, n: int = 32) -> None:
         played = rollout(
             victim, run.task, chosen, attack=attack, defense=defense, steps=max(at) + 1, progress=f"{name} barrier"
         )
-        found[name] = measure(attack, defense, played, at)
+        found[name] = measure(attack, defense, played, at, run.scale.adaptive["steps"])
     artifacts.write_json(path, dict(variants=found, seeds=[chosen[0], len(chosen)], at=at), run.root)

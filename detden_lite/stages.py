@@ -82,7 +82,7 @@ def learn_q(run: Run, seed: int = 0) -> None:
 def collect(run: Run, data: str) -> None:
     """D_normal, and half as many held-out episodes for calibration: these as the defence will meet them, unexplored."""
     victim = run.victim()
-    held_out = run.scale.trajectories // 2
+    held_out = max(4, run.scale.trajectories // 2)
     wanted = [
         (f"normal-{data}", "normal", run.scale.trajectories, DATASETS[data]),
         ("calibration", "calibration", held_out, (0.0,)),
