@@ -20,7 +20,6 @@ ABLATIONS = {  # of the main defence: what each changes in it
     "latent-mean": "takes the latent's mean instead of a sample",
     "projected": "projects what is denoised into B(o_hat), which takes knowing epsilon",
     "tuned": "the paper's threshold, tuned on attacked episodes",
-    "conformal": "the conformal threshold, which promises its false alarms",
 }
 BASELINES = {  # what replaces one of its networks
     "identity": "a denoiser that does nothing",
@@ -112,10 +111,6 @@ def load(run: Run, name: str) -> DetectAndDenoise:
         case "tuned":
             tuned = artifacts.read_json(run.folder / "threshold.json", run.root)["threshold"]
             return DetectAndDenoise(Detector(detector.model, tuned), denoiser)
-        case "conformal":
-            path = run.folder / f"detector-{VARIANTS[MAIN].data}.json"
-            threshold = artifacts.read_json(path, run.root)["conformal_threshold"]
-            return DetectAndDenoise(Detector(detector.model, np.inf if threshold is None else threshold), denoiser)
         case "identity":
             return DetectAndDenoise(detector, Identity())
         case "autoencoder":

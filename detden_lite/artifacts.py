@@ -151,7 +151,7 @@ def load_model(task: str, algo: str, name: str, root: Path = DATA) -> tuple[GRUV
     )  # fmt: skip
 
 
-def load_defense(task: str, algo: str, variant: str = "both", root: Path = DATA) -> DetectAndDenoise:
+def load_defense(task: str, algo: str, variant: str = "mixed", root: Path = DATA) -> DetectAndDenoise:
     """A shipped defence of a victim: a variant's denoiser with the detector of the same data and its threshold."""
     denoiser, sidecar = load_model(task, algo, f"denoiser-{variant}", root)
     detector, calibration = load_model(task, algo, f"detector-{sidecar['data']}", root)

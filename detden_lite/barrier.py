@@ -15,7 +15,7 @@ from torch import Tensor
 
 from detden_lite import artifacts
 from detden_lite.attacks import OppositeAttack
-from detden_lite.attacks.adaptive import AdaptiveAttack, Outcome
+from detden_lite.attacks.adaptive import AdaptiveAttack, GradientFreeAttack, Outcome
 from detden_lite.attacks.informed import look
 from detden_lite.defense import GRUVAE, DetectAndDenoise
 from detden_lite.draws import Draws
@@ -126,14 +126,16 @@ def measure(
     Returns:
         Deviations of the action, one for each episode and step that is looked at: ``clean``, under the ``unaware``
         attack, under the adaptive attack on the same defence without noise (``mean``), and under the adaptive attack
-        by K (``samples``). By K the ``alignment``. And the denoiser's ``latent``: signal to noise, sorted.
+        by K (``samples``) and its cross-check without gradients (``free``). By K the ``alignment``. And the denoiser's
+        ``latent``: signal to noise, sorted.
     """
-    found: dict = dict(clean=[], unaware=[], mean=[], samples={}, alignment={})
+    found: dict = dict(clean=[], unaware=[], mean=[], free=[], samples={}, alignment={})
     for now in (moment(episodes, defense, step) for step in at):
         quiet, unaware = silenced(now), attacked(attack, now)
         found["clean"] += deviation(attack, now, now.obs).tolist()
         found["unaware"] += deviation(attack, now, unaware).tolist()
         found["mean"] += deviation(attack, quiet, attacked(AdaptiveAttack(attack, steps, samples=1), quiet)).tolist()
+        found["free"] += deviation(attack, now, attacked(GradientFreeAttack(attack, steps=steps), now)).tolist()
         for k in SAMPLES:
             seen = attacked(AdaptiveAttack(attack, steps, samples=k), now)
             found["samples"].setdefault(str(k), []).extend(deviation(attack, now, seen).tolist())

@@ -12,7 +12,7 @@ from gymnasium.envs.mujoco import MujocoEnv
 from detden_lite import artifacts, evaluation, stages
 from detden_lite.budget import Budget
 from detden_lite.defended import Defended
-from detden_lite.runs import VARIANTS, Run
+from detden_lite.runs import MAIN, VARIANTS, Run
 from detden_lite.scales import DefenseScale, defense_scale
 from detden_lite.simulator import make
 from detden_lite.study import Cell, seeds
@@ -20,7 +20,6 @@ from detden_lite.sweeps import over_sizes
 from detden_lite.tasks import TASKS, Task
 from detden_lite.victims import Victim
 
-DATA = "diverse"  # the exploration in D_normal
 SIZES = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0)  # of the ball, in units of the one that was defended against
 
 
@@ -36,8 +35,8 @@ def defend(
     """Make a defence of a frozen policy, or what is missing of it, and the policy behind that defence.
 
     D_normal is collected with exploration, and attacked offline by the opposite attack, and by the Q-function attack if
-    the victim has a critic; detector and residual denoiser are trained on it; the threshold is the conformal one, or
-    the 99 % quantile if there are too few held-out episodes to promise anything. All goes into
+    the victim has a critic; the detector and the ``runs.MAIN`` denoiser are trained on it; the threshold is the
+    conformal one, or the 95 % quantile if there are too few held-out episodes to promise anything. All goes into
     ``folder/<task>-<algorithm>``, laid out as data/ is. A call that was killed goes on when it is made again, and one
     that was not loads what is there; a file that was altered since is made anew.
 
@@ -66,21 +65,18 @@ def defend(
     run = Run(Path(folder), task, "td3" if victim.action_std is None else "ppo", sizes, budget)
     _claim(run, victim, seed)
 
-    variant = variant_of(victim)
-    detector, denoiser = (run.folder / f"{name}.safetensors" for name in (f"detector-{DATA}", f"denoiser-{variant}"))
+    data, parts = VARIANTS[MAIN].data, VARIANTS[MAIN].adversarial
+    if not len(victim.critics):
+        parts = ("adversarial",)  # of the opposite attack alone: the other one needs a critic
+    detector, denoiser = (run.folder / f"{name}.safetensors" for name in (f"detector-{data}", f"denoiser-{MAIN}"))
     if not (artifacts.is_made(detector, run.root) and artifacts.is_made(denoiser, run.root)):
-        stages.collect(run, DATA)
-        stages.augment(run, DATA, VARIANTS[variant].adversarial)
+        stages.collect(run, data)
+        stages.augment(run, data, parts)
     if not artifacts.is_made(detector, run.root):
-        stages.train_detector(run, DATA, seed, promise=True)
+        stages.train_detector(run, data, seed)
     if not artifacts.is_made(denoiser, run.root):
-        stages.train_denoiser(run, variant, seed)
-    return Defended(victim, task, run.defense(variant))
-
-
-def variant_of(victim: Victim) -> str:
-    """The variant of the defence: the denoiser of a victim with a critic learns from the Q-function attack as well."""
-    return "both" if len(victim.critics) else "residual"
+        stages.train_denoiser(run, MAIN, seed, parts)
+    return Defended(victim, task, run.defense(MAIN))
 
 
 def task_of(env: str | gymnasium.Env, budget: Budget) -> Task:
@@ -163,7 +159,7 @@ def defend_victim(run: Run) -> None:
     """
     victim = run.victim()
     defended = defend(victim, run.task.env_id, run.budget, run.scale, run.root)
-    defenses, attacks = {"none": None, variant_of(victim): defended.defense}, ("uniform", "opposite")
+    defenses, attacks = {"none": None, MAIN: defended.defense}, ("uniform", "opposite")
     cells = [Cell(attack, defense=name) for name in defenses for attack in ("none", *attacks)]
     evaluation.run_cells(run, cells, run.untimed_threat)
     path = run.folder / "sizes.json"

@@ -108,14 +108,15 @@ def augment(run: Run, data: str, parts: Sequence[str] = tuple(ADVERSARIAL)) -> N
                 save_shard(run, target, augmentation.augment(load_shard(run, path), offline, seed=index))
 
 
-def train_detector(run: Run, data: str, seed: int = 0, promise: bool = False) -> None:
+# Of clean steps. A miss costs more than a false alarm if the denoiser leaves clean observations alone: on HalfCheetah's
+# tuning episodes 5 % instead of 1 % took the return under the optimal attack from 3,643 to 5,840, clean it cost 0.3 %.
+FALSE_ALARMS = 0.05
+
+
+def train_detector(run: Run, data: str, seed: int = 0) -> None:
     """Train on D_normal, and calibrate the threshold on held-out clean episodes.
 
-    Args:
-        run: where.
-        data: which D_normal, a key of ``DATASETS``.
-        seed: of the training.
-        promise: take the conformal threshold, if there are episodes enough for one, and not the plain quantile.
+    It is the conformal one, or the plain quantile if there are too few episodes to promise anything.
     """
     normal = load_trajectories(run, f"normal-{data}")
     model = train_gruvae(
@@ -124,20 +125,21 @@ def train_detector(run: Run, data: str, seed: int = 0, promise: bool = False) ->
     )  # fmt: skip
     calibration = load_trajectories(run, "calibration")
     scores = clean_scores(Detector(model, np.inf), calibration)
-    quantile, conformal = calibrate(scores), conformal_threshold(np.split(scores, calibration.lengths.cumsum()[:-1]))
+    conformal = conformal_threshold(np.split(scores, calibration.lengths.cumsum()[:-1]), FALSE_ALARMS)
     sidecar = dict(
         data=data, recipe=asdict(run.scale.defense), seed=seed, trajectories=len(normal),
-        threshold=conformal if promise and np.isfinite(conformal) else quantile,
-        conformal_threshold=conformal if np.isfinite(conformal) else None,
+        threshold=conformal if np.isfinite(conformal) else calibrate(scores, FALSE_ALARMS),
+        conformal=bool(np.isfinite(conformal)), false_alarms=FALSE_ALARMS,
         calibration_quantiles=_quantiles(scores),
     )  # fmt: skip
     artifacts.save_model(run.task.name, run.algo, f"detector-{data}", model, sidecar, run.root)
 
 
-def train_denoiser(run: Run, variant: str, seed: int = 0) -> None:
-    """Train a variant's denoiser on D_normal and its parts of D_adv."""
+def train_denoiser(run: Run, variant: str, seed: int = 0, parts: Sequence[str] = ()) -> None:
+    """Train a variant's denoiser on D_normal and its parts of D_adv, or those given."""
     chosen = VARIANTS[variant]
-    normal, *adversarial = (load_trajectories(run, f"{part}-{chosen.data}") for part in ("normal", *chosen.adversarial))
+    parts = tuple(parts) or chosen.adversarial
+    normal, *adversarial = (load_trajectories(run, f"{part}-{chosen.data}") for part in ("normal", *parts))
     recipe = replace(run.scale.defense, **chosen.recipe)
     regularizer = Regularizer(run.victim(), run.budget) if recipe.lam else None
     model = train_gruvae(
@@ -145,7 +147,7 @@ def train_denoiser(run: Run, variant: str, seed: int = 0) -> None:
         run.folder / "checkpoints" / f"denoiser-{variant}.ckpt", label=f"{variant} denoiser", regularizer=regularizer,
     )  # fmt: skip
     sidecar = dict(
-        data=chosen.data, adversarial=chosen.adversarial, recipe=asdict(recipe), seed=seed, trajectories=len(normal),
+        data=chosen.data, adversarial=parts, recipe=asdict(recipe), seed=seed, trajectories=len(normal),
         regularizer=regularizer and regularizer.settings,
     )  # fmt: skip
     artifacts.save_model(run.task.name, run.algo, f"denoiser-{variant}", model, sidecar, run.root)
@@ -169,4 +171,4 @@ def publish(run: Run, data: Path = artifacts.DATA) -> None:
 
 
 def _quantiles(scores: np.ndarray) -> dict[str, float]:
-    return {str(q): float(np.quantile(scores, q)) for q in (0.5, 0.9, 0.99, 0.999)}
+    return {str(q): float(np.quantile(scores, q)) for q in (0.5, 0.9, 0.95, 0.99, 0.999)}

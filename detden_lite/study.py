@@ -18,7 +18,7 @@ from detden_lite.attacks import (
     UniformNoise,
     Vulnerable,
 )
-from detden_lite.attacks.adaptive import AdaptiveAttack, CoupledAttack, GradientFreeAttack
+from detden_lite.attacks.adaptive import AdaptiveAttack, CoupledAttack
 from detden_lite.attacks.gradient import GradientAttack
 from detden_lite.attacks.informed import InformedAttack
 from detden_lite.attacks.printed import FORMS, PrintedAttack
@@ -47,9 +47,9 @@ ATTACKS = (*CONTROLS, *FOUR, "linear")
 # Those that know the defence: as section 4.5 and appendix B print them, and as they should be.
 ADAPTIVE = (
     *(f"{form}-{attack}" for form in FORMS for attack in ("opposite", "qfunction", "enchanting")),
-    "adaptive-opposite", "adaptive-qfunction", "adaptive-optimal", "coupled-opposite", "free-opposite",
+    "adaptive-opposite", "adaptive-qfunction", "adaptive-optimal", "coupled-opposite",
 )  # fmt: skip
-_KINDS = dict(adaptive=AdaptiveAttack, coupled=CoupledAttack, free=GradientFreeAttack)
+_KINDS = dict(adaptive=AdaptiveAttack, coupled=CoupledAttack)
 TIMINGS = ("always", "vulnerable", "random")
 
 

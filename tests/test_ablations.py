@@ -82,17 +82,6 @@ def test_the_papers_threshold_misses_hardly_an_attack_on_the_episodes_that_it_wa
     assert defense.detector.threshold != ablations.load(run, MAIN).detector.threshold
 
 
-def test_the_conformal_threshold_is_never_below_the_quantile_and_silent_if_nothing_can_be_promised(run):
-    threshold = ablations.load(run, "conformal").detector.threshold
-    card = json.loads((run.folder / "detector-diverse.json").read_text())
-    assert threshold == np.inf and card["conformal_threshold"] is None  # four held-out episodes
-    path = run.folder / "detector-diverse.json"
-    kept = path.read_bytes()
-    artifacts.write_json(path, card | dict(conformal_threshold=2.5), run.root)
-    assert ablations.load(run, "conformal").detector.threshold == 2.5
-    artifacts.write_bytes(path, kept, run.root)
-
-
 def test_making_them_again_changes_nothing_and_a_lost_one_is_made_the_same(run):
     def contents():
         return {path.name: path.read_bytes() for path in run.folder.iterdir() if path.is_file()}

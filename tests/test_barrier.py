@@ -70,7 +70,14 @@ def test_everything_is_measured_at_every_step_that_is_asked_for(played, monkeypa
     defense, episodes = played
     found = measure(ATTACK, defense, episodes, (1, 5), steps=2)
     assert json.loads(json.dumps(found, allow_nan=False)) == found
-    rows = [*found["samples"].values(), *found["alignment"].values(), found["clean"], found["unaware"], found["mean"]]
+    rows = [
+        *found["samples"].values(),
+        *found["alignment"].values(),
+        found["clean"],
+        found["unaware"],
+        found["mean"],
+        found["free"],
+    ]
     assert {len(row) for row in rows} == {8} and list(found["samples"]) == ["1", "2"]
     assert np.mean(found["samples"]["2"]) >= 0.95 * np.mean(found["unaware"])  # it knows more
     assert found["latent"] == sorted(found["latent"])

@@ -11,11 +11,9 @@ import torch
 
 from detden_lite import ablations, artifacts, cards, defend, evaluation
 from detden_lite.budget import Budget
-from detden_lite.defense.training import VAERecipe
 from detden_lite.metrics import estimate
 from detden_lite.rollout import rollout
 from detden_lite.runs import MAIN, VARIANTS, Run
-from detden_lite.scales import DefenseScale
 from detden_lite.study import Cell, Threat, run_cell, seeds
 from detden_lite.tasks import SWIMMER, get_task
 
@@ -146,19 +144,17 @@ def test_the_policy_that_is_not_the_papers_is_defended_by_the_one_call_and_does_
     """Swimmer never falls, and does not magnify rounding: the returns of two report episodes."""
     before = {path: path.stat().st_mtime_ns for path in DATA.rglob("*")}
     victim = artifacts.load_victim("swimmer", "ppo", DATA)
-    sizes = artifacts.read_json(DATA / "swimmer-ppo" / "defend.json", DATA)["sizes"]
-    sizes = DefenseScale(**sizes | dict(defense=VAERecipe(**sizes["defense"])))
-    defended = defend(victim, "Swimmer-v5", Budget(SWIMMER.epsilon), sizes, DATA)
+    defended = defend(victim, "Swimmer-v5", Budget(SWIMMER.epsilon), "lite", DATA)
     assert {path: path.stat().st_mtime_ns for path in DATA.rglob("*")} == before
     threat = Threat(Budget(SWIMMER.epsilon), steps=20)
-    for attack, name in (("none", "residual"), ("uniform", "none"), ("opposite", "none"), ("opposite", "residual")):
-        defense = defended.defense if name == "residual" else None
+    for attack, name in (("none", MAIN), ("uniform", "none"), ("opposite", "none"), ("opposite", MAIN)):
+        defense = defended.defense if name == MAIN else None
         _, episodes = run_cell(Cell(attack, defense=name), SWIMMER, victim, threat, defense, seeds("report", 2))
         told = record(f"swimmer-ppo.{attack}.always.{name}")
         assert episodes.returns == pytest.approx(told["returns"][:2], abs=0.2 * told["estimate"]["mean"])
 
 
-@pytest.mark.parametrize("name", ["none", "residual"])
+@pytest.mark.parametrize("name", ["none", MAIN])
 def test_the_sweep_over_sizes_of_that_policy_agrees_with_its_records(name):
     sweep = artifacts.read_json(DATA / "swimmer-ppo" / "sizes.json", DATA)[name]
     assert sweep["seeds"] == [seeds("report", 1)[0], 100]
