@@ -11,6 +11,8 @@ import torch
 
 from detden_lite import ablations, artifacts, cards, defend, evaluation
 from detden_lite.budget import Budget
+from detden_lite.defense import DetectAndDenoise
+from detden_lite.defense.baselines import Identity
 from detden_lite.metrics import estimate
 from detden_lite.rollout import rollout
 from detden_lite.runs import MAIN, VARIANTS, Run
@@ -85,12 +87,14 @@ def test_every_model_loads_and_answers(name):
 
 
 @pytest.mark.parametrize(("folder", "variant"), DEFENSES)
-def test_every_variant_of_the_defence_is_silent_for_most_of_a_clean_episode(folder, variant):
+def test_every_detector_is_silent_for_most_of_a_clean_episode(folder, variant):
+    """Of one that nobody steers: after a false alarm of its own the printed denoiser sees what was never normal."""
     task, algo = folder.split("-")
     defense = artifacts.load_defense(task, algo, variant, DATA)
+    watched = DetectAndDenoise(defense.detector, Identity())
     victim = artifacts.load_victim(task, algo, DATA)
-    episodes = rollout(victim, get_task(task), seeds("report", 4), defense=defense, steps=125)
-    assert episodes.alarm[episodes.mask].mean() < 0.5
+    episodes = rollout(victim, get_task(task), seeds("report", 4), defense=watched, steps=125)
+    assert episodes.alarm[episodes.mask].mean() < 0.2
 
 
 @pytest.mark.parametrize("name", RECORDS)

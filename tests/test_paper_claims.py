@@ -286,14 +286,17 @@ def test_of_the_same_elites_the_released_weights_make_the_tamer_attack(returns):
 def test_only_a_low_score_of_the_attacked_observation_fools_the_detector(clean, detector):
     """Appendix B maximises ||det(o_hat) - o||. Minimising it does not help either: it must be o_hat, not o.
 
-    From random starts, few of which are silent: not every robot's way down the score ends below the threshold.
+    At eight moments of eight robots, from random starts, few of which are silent: not every way down the score ends
+    below the threshold.
     """
     model, sidecar = detector
-    noise = normal(8, 61, model.latent_dim)
-    state, now = model(clean[:, :60], noise[:, :60]).state, clean[:, 60]
+    noise = normal(8, 150, model.latent_dim)
+    moments = range(60, 140, 10)
+    state = [torch.cat([model(clean[:, :t], noise[:, :t]).state[k] for t in moments], 1) for k in range(2)]
+    now, sample = (torch.cat([x[:, t] for t in moments]) for x in (clean, noise))
 
     def reconstruct(x):
-        return model(x[:, None], noise[:, 60:], state).output[:, 0]
+        return model(x[:, None], sample[:, None], state).output[:, 0]
 
     def printed(x):
         return torch.linalg.vector_norm(reconstruct(x) - now, ord=torch.inf, dim=-1)
@@ -306,7 +309,7 @@ def test_only_a_low_score_of_the_attacked_observation_fools_the_detector(clean, 
         return (score(found) > sidecar["threshold"]).float().mean().item()
 
     assert alarms(printed) == alarms(lambda x: -printed(x)) == 1
-    assert alarms(lambda x: -score(x)) < 0.8
+    assert alarms(lambda x: -score(x)) < 0.9
 
 
 def test_what_the_detector_lets_pass_is_not_denoised():
