@@ -53,14 +53,23 @@ def use_style() -> None:
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence]) -> HTML:
-    """A table for the end of a cell. Entries are shown as ``str`` gives them; what looks like HTML is not escaped."""
+    """A table for the end of a cell; what looks like HTML is not escaped.
+
+    Entries are shown as ``str`` gives them. Those that are no text, as an ``Estimate``, are broken as ``whole`` does it.
+    """
 
     def line(cells: Sequence, tag: str) -> str:
-        return "<tr>" + "".join(f"<{tag}>{cell}</{tag}>" for cell in cells) + "</tr>"
+        shown = (cell if isinstance(cell, str) else whole(cell) for cell in cells)
+        return "<tr>" + "".join(f"<{tag}>{cell}</{tag}>" for cell in shown) + "</tr>"
 
     body = "".join(line(row, "td") for row in rows)
     # The class tells themes that the output needs no light ground when the page is dark.
     return HTML(f'<table class="table dataframe"><thead>{line(columns, "th")}</thead><tbody>{body}</tbody></table>')
+
+
+def whole(text: object) -> str:
+    """Text of a table's entry that breaks into lines before an interval at most: "3,376", then "[3,375, 3,376]"."""
+    return str(text).replace(" ", "\N{NO-BREAK SPACE}").replace("\N{NO-BREAK SPACE}[", " [")
 
 
 def units(names: Sequence[str]) -> list[str]:

@@ -9,7 +9,7 @@ import pytest
 from detden_lite import figures
 from detden_lite.attacks import UniformNoise
 from detden_lite.budget import Budget
-from detden_lite.metrics import summarize
+from detden_lite.metrics import Estimate, summarize
 from detden_lite.playback import Robot
 from detden_lite.rollout import rollout
 from detden_lite.tasks import get_task
@@ -101,3 +101,10 @@ def test_a_cell_has_the_colour_of_its_meaning(attack, defense, meaning):
 def test_a_table_has_a_row_for_each_row():
     shown = figures.table(["name", "value"], [["a", 1], ["b", 2]]).data
     assert shown.count("<tr>") == 3 and "<td>2</td>" in shown
+
+
+def test_an_entry_of_a_table_breaks_before_its_interval_alone():
+    assert figures.whole(Estimate(3_376, 3_375, 3_376, 0, 0, 0, 100)).split(" ") == [
+        "3,376",
+        "[3,375,\N{NO-BREAK SPACE}3,376]",
+    ]
