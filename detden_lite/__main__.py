@@ -83,7 +83,9 @@ def parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     add("ablate", evaluation.ablate, "run the cells of ablations, baselines and ceilings")
     add("defend", own.defend_victim, "defend the victim in one call, and evaluate it with the defence and without")
-    add("adapt", evaluation.adapt, "run the cells of the attacks that know the main defence")
+    add("adapt", evaluation.adapt, "run the cells of the attacks that know the defence").add_argument(
+        "--defenses", nargs="+", choices=VARIANTS, default=[MAIN], help="default: %(default)s"
+    )
     add("barrier", barrier.barrier, "measure what the noise of the latents costs an attacker").add_argument(
         "--variants", nargs="+", choices=VARIANTS, default=list(barrier.VARIANTS),
         help="the defences to look at; default: %(default)s",

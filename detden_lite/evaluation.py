@@ -30,9 +30,16 @@ def cells(defenses=("none", MAIN)) -> list[study.Cell]:
     return found
 
 
+RESIDUAL_OR_NOT = ("diverse", "residual")  # two variants that differ in the denoiser's residual output alone
+
+
 def adaptive_cells(defense: str = MAIN) -> list[study.Cell]:
-    """The cells of the attacks that know the defence: always, since who fears them asks for the worst."""
-    return [study.Cell(attack, "always", defense) for attack in study.ADAPTIVE]
+    """The cells of the attacks that know the defence: always, since who fears them asks for the worst.
+
+    The main defence meets all of them, and the two of ``RESIDUAL_OR_NOT`` one: is a residual output a path?
+    """
+    attacks = dict.fromkeys(RESIDUAL_OR_NOT, ("adaptive-opposite",)) | {MAIN: study.ADAPTIVE}
+    return [study.Cell(attack, "always", defense) for attack in attacks.get(defense, ())]
 
 
 def load(
@@ -53,9 +60,9 @@ def evaluate(run: Run, defenses=("none", MAIN), attacks=("none", *study.ATTACKS)
     run_cells(run, [cell for cell in cells(defenses) if cell.attack in attacks], run.threat())
 
 
-def adapt(run: Run) -> None:
-    """The cells of the attacks that know the main defence, a record each."""
-    run_cells(run, adaptive_cells(), run.threat())
+def adapt(run: Run, defenses=(MAIN,)) -> None:
+    """The cells of the attacks that know these defences, a record each."""
+    run_cells(run, [cell for defense in defenses for cell in adaptive_cells(defense)], run.threat())
 
 
 def run_cells(run: Run, wanted: Iterable[study.Cell], threat: study.Threat) -> None:

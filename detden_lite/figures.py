@@ -55,7 +55,7 @@ def use_style() -> None:
 def table(columns: Sequence[str], rows: Sequence[Sequence]) -> HTML:
     """A table for the end of a cell; what looks like HTML is not escaped.
 
-    Entries are shown as ``str`` gives them. Those that are no text, as an ``Estimate``, are broken as ``whole`` does it.
+    Entries are shown as ``str`` gives them; those that are no text, as an ``Estimate``, broken as ``whole`` does it.
     """
 
     def line(cells: Sequence, tag: str) -> str:

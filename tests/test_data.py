@@ -93,7 +93,7 @@ def test_every_detector_is_silent_for_most_of_a_clean_episode(folder, variant):
     defense = artifacts.load_defense(task, algo, variant, DATA)
     watched = DetectAndDenoise(defense.detector, Identity())
     victim = artifacts.load_victim(task, algo, DATA)
-    episodes = rollout(victim, get_task(task), seeds("report", 4), defense=watched, steps=125)
+    episodes = rollout(victim, get_task(task), seeds("report", 4), defense=watched)
     assert episodes.alarm[episodes.mask].mean() < 0.2
 
 
