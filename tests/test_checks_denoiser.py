@@ -85,6 +85,7 @@ def _replaced_in_place(obs, denoised, alarm):
         (checks.check_mae_attacked, lambda d, o, a, m: np.abs(d - o).mean(), "all steps"),
         (checks.check_mae_attacked, lambda d, o, a, m: (d - o)[a & m].mean(), "cancel"),
         (checks.check_mae_attacked, lambda d, o, a, m: ((d - o) ** 2)[a & m].mean(), "should be"),
+        (checks.check_mae_attacked, lambda d, o, a, m: np.abs(d - o)[a & m], "one number"),
         (checks.check_mae_attacked, lambda d, o, a, m: (np.abs(d - o) * (a & m)[..., None]).mean(), "divided"),
     ],
 )

@@ -15,7 +15,7 @@ def r_ppo(action, reference, std):
 
 def training_loss(
     model, regularizer, true, perturbed, mask, noise, beta, lam, elbo=1.0, sign=1.0, shown=None, wanted=None,
-    attacked=None, where=None, counted=None, z="noise",
+    attacked=None, where=None, counted=None, z="noise", over=None,
 ):  # fmt: skip
     """The solution, and with other arguments every mistake."""
     result = model(perturbed if shown is None else shown, noise)
@@ -23,7 +23,7 @@ def training_loss(
     loss = loss + beta * kl_divergence(result.mean, result.log_variance)
     where, counted = (mask if m is None else m for m in (where, counted))
     r = regularizer(model, true if attacked is None else attacked, counted, noise if z == "noise" else z)
-    return elbo * (loss * where).sum() / where.sum() + sign * lam * r
+    return elbo * (loss * where).sum() / (over or where.sum()) + sign * lam * r
 
 
 def survives(action, denoised):
@@ -50,6 +50,7 @@ def test_other_ways_to_say_the_same_pass():
         (lambda a, b, s: ((a - b) * s).square().sum(-1), "Sigma\\^-1"),
         (lambda a, b, s: ((a - b) / s).norm(dim=-1), "without a root"),
         (lambda a, b, s: ((a - b) / s).square().mean(-1), "that is their mean"),
+        (lambda a, b, s: r_ppo(a, b, s) / 2, "KL divergence"),
         (lambda a, b, s: ((a - b) / s).sum(-1).square(), "cancel"),
         (lambda a, b, s: r_ppo(a, b, s).mean(), "each has its own"),
         (lambda a, b, s: ((a - b) / s).square(), "shape"),
@@ -77,6 +78,9 @@ def test_a_wrong_r_is_told(mistake, says):
         (lambda m, true, seen: dict(shown=true), "should see what is perturbed"),
         (lambda m, true, seen: dict(beta=1), "beta is missing"),
         (lambda m, true, seen: dict(beta=0), "KL is missing"),
+        (lambda m, true, seen: dict(beta=-0.1), "KL is subtracted"),
+        (lambda m, true, seen: dict(elbo=0.1, beta=1), "has beta in it already"),
+        (lambda m, true, seen: dict(over=m.numel()), "number of steps that count"),
         (lambda m, true, seen: dict(elbo=2), "should be"),
     ],
 )
@@ -112,6 +116,7 @@ def test_a_loss_that_cannot_be_trained_with_is_told(mistake, says):
         (lambda a, d: 1 - (d - a).square().sum() / (a - a.mean()).square().sum(), "by itself"),
         (lambda a, d: (d - d.mean(0)).square().sum() / (a - a.mean(0)).square().sum(), "Shrinking"),
         (lambda a, d: 1 - (d - a).square().sum() / (d - d.mean(0)).square().sum(), "TRUE actions vary"),
+        (lambda a, d: 1 - (d - a).square().mean(0).sum() / a.var(0).sum(), "n - 1"),
         (lambda a, d: 1 - (d - a).abs().sum() / (a - a.mean(0)).abs().sum(), "Square"),
         (lambda a, d: survives(a, d).clamp_min(0), "do not clip"),
     ],

@@ -53,6 +53,7 @@ def _ends(ratios, tail=0.025):
     [
         (lambda d, c, i: None, "gives None"),
         (lambda d, c, i: kept_share(d, c, i)[0], "shape"),
+        (lambda d, c, i: (kept_share(d, c, i)[0], np.array(kept_share(d, c, i)[1:])), "three numbers"),
         (lambda d, c, i: ((d / c).mean(), *_ends((d / c)[i].mean(1))), "ratio of the two means"),
         (lambda d, c, i: (d.mean() / c.mean(), *_ends((d / c)[i].mean(1))), "drawn episodes' means"),
         (lambda d, c, i: (d.mean() / c.mean(), *_ends(d[i].mean(1) / c.mean())), "the same ones"),
@@ -77,12 +78,22 @@ def test_a_wrong_share_is_told(mistake, says):
         (lambda chosen, shown: shown[chosen.min(1).argmin()].mean(), "its worst episode"),
         (lambda chosen, shown: shown[chosen.mean(1).argmax()].mean(), "leaves the most"),
         (lambda chosen, shown: shown.mean(), "all attacks"),
+        (lambda chosen, shown: chosen.mean(1).argmin(), "which attack is the worst"),
+        (lambda chosen, shown: shown[chosen.mean(0).argmin()].mean(), r"is mean\(1\)"),
         (lambda chosen, shown: shown[chosen.mean(1).argmin()], "shape"),
     ],
 )
 def test_a_wrong_worst_case_is_told(mistake, says):
     with pytest.raises(AssertionError, match=says):
         checks.check_worst_elsewhere(mistake)
+
+
+def _precision(r, m, f):
+    return r * (1 - m) / (r * (1 - m) + (1 - r) * f)
+
+
+def test_the_chapters_own_definition_of_f1_passes():
+    checks.check_f1(lambda r, m, f: 2 / (1 / _precision(r, m, f) + 1 / (1 - m)))
 
 
 @pytest.mark.parametrize(
@@ -95,6 +106,8 @@ def test_a_wrong_worst_case_is_told(mistake, says):
         (lambda r, m, f: 1 - m, "recall"),
         (lambda r, m, f: r * (1 - m) + (1 - r) * (1 - f), "accuracy"),
         (lambda r, m, f: r * (1 - m) / (r + (1 - r) * f), "twice"),
+        (lambda r, m, f: (_precision(r, m, f) + 1 - m) / 2, "mean of precision and recall"),
+        (lambda r, m, f: _precision(r, m, f) * (1 - m), "product"),
         (lambda r, m, f: f1(r, m, f) + 0.01, "it should be"),
     ],
 )

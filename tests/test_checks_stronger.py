@@ -48,6 +48,7 @@ class TestRefit:
         "wrong, hint",
         [
             (weighted(lambda n: np.arange(n) / np.arange(n).sum()), "count from the other end"),
+            (weighted(lambda n: np.arange(n)[::-1] / np.arange(n).sum()), "it should weigh 1"),
             (weighted(lambda n: np.arange(1, n + 1) / np.arange(n + 1).sum()), "the best one should"),
             (lambda p, r, n: weighted(lambda k: np.arange(k, 0, -1) / 6)(p, -r, n), "LARGEST"),
             (weighted(lambda n: np.ones(n) / n), "weigh the same"),
@@ -57,7 +58,18 @@ class TestRefit:
             (lambda p, r, n: p[r.argsort()[:n]], "shape"),
             (weighted(lambda n: np.arange(n, 0, -1) / 6), "random plans"),
         ],
-        ids=["released", "turned", "largest", "equal", "not normalised", "unsorted", "best", "elites", "always by 6"],
+        ids=[
+            "released",
+            "last 0",
+            "turned",
+            "largest",
+            "equal",
+            "not normalised",
+            "unsorted",
+            "best",
+            "elites",
+            "always by 6",
+        ],
     )
     def test_wrong(self, wrong, hint):
         with pytest.raises(AssertionError, match=hint):

@@ -130,8 +130,9 @@ def plain(lines: list[str], labels: Labels) -> list[str]:
 def inline(text: str, labels: Labels) -> str:
     """Text without roles and labels."""
     text = _EQUATION.sub(lambda match: rf"\tag{{{_find(labels.equations, match[1], 'equation')}}} $$", text)
-    text = _ROLE.sub(lambda match: _role(match[1], match[2], labels), text)
-    return _LINK.sub(lambda match: f"[{match[1]}]({_notebook(match[2])})" if _is_local(match[2]) else match[0], text)
+    # Links first: a role becomes a link of the notebook's own, which is not to be converted again.
+    text = _LINK.sub(lambda match: f"[{match[1]}]({_notebook(match[2])})" if _is_local(match[2]) else match[0], text)
+    return _ROLE.sub(lambda match: _role(match[1], match[2], labels), text)
 
 
 def caption(name: str, text: str, labels: Labels) -> str:

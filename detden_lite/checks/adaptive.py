@@ -15,7 +15,7 @@ def check_hidden(hidden: Callable[[Callable, Tensor, Tensor, Tensor], Tensor]) -
     def det(seen: Tensor) -> Tensor:
         return 0.5 * seen + shift
 
-    obs = torch.tensor([[1.0, 2.0, 0.0], [-1.0, 0.5, 1.0]])
+    obs = torch.tensor([[1.0, 2.0, 0.0], [3.0, 0.5, 1.0]])
     perturbed = (obs + torch.tensor([[0.1, -0.1, 0.1], [-0.1, 0.1, 0.1]])).requires_grad_()
     scale = torch.tensor([1.0, 2.0, 0.5])
     deviation = perturbed - det(perturbed)
@@ -35,6 +35,7 @@ def check_hidden(hidden: Callable[[Callable, Tensor, Tensor, Tensor], Tensor]) -
         "The score is the LARGEST deviation; that is the mean": -(deviation / scale).abs().mean(-1),
         "The score is the LARGEST deviation; that is the sum": -(deviation / scale).abs().sum(-1),
         "The score is the largest deviation in size: abs() before amax": -(deviation / scale).amax(-1),
+        "The score is the largest deviation in SIZE: abs() before amax": -(-deviation / scale).amax(-1),
     }
     call = "hidden(det, obs, perturbed, scale)"
     got = hidden(det, obs, perturbed, scale)
@@ -91,7 +92,7 @@ def check_straight_through(straight_through: Callable[[Callable, Tensor], Tensor
     """``straight_through(defense, perturbed)`` is defense(perturbed), and its gradient the identity's."""
 
     def defense(seen: Tensor) -> Tensor:
-        return (seen / 0.25).round() * 0.25
+        return 0.5 * (seen / 0.25).round() * 0.25 + 0.5 * seen
 
     perturbed = torch.tensor([[0.3, -0.4], [0.9, 0.05]], requires_grad=True)
     call = "straight_through(defense, perturbed)"
@@ -109,7 +110,10 @@ def check_straight_through(straight_through: Callable[[Callable, Tensor], Tensor
     )
     (gradient,) = torch.autograd.grad(got.sum(), perturbed)
     hints = {
-        "Its value is right and its gradient the defence's own, 0: detach what the defence changes": torch.zeros(2, 2)
+        "Its value is right and its gradient the defence's own: detach what the defence changes": torch.full(
+            (2, 2), 0.5
+        ),
+        "The defence's own gradient is added to it: detach what the defence gives": torch.full((2, 2), 1.5),
     }
     compare("the gradient of its sum", gradient, torch.ones(2, 2), hints)
     print("Right. Forwards it is the defence, backwards it is not there.")

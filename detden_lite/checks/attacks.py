@@ -37,9 +37,9 @@ def check_project_l2(project: Callable[[Tensor, Tensor, float], Tensor]) -> None
 
 def check_opposite(opposite: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None:
     """``opposite(mean, seen, action_std)`` is l_op of a Gaussian policy with diagonal covariance, ``[N]``."""
-    mean = torch.tensor([[0.0, 0.0], [1.0, 1.0]])
-    seen = torch.tensor([[1.0, 1.0], [1.0, 3.0]])
-    std = torch.tensor([0.5, 2.0])
+    mean = torch.tensor([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
+    seen = torch.tensor([[1.0, 1.0, 2.0], [1.0, 3.0, 2.0]])
+    std = torch.tensor([0.5, 2.0, 1.0])
     step = seen - mean
     mistakes = {
         "Sigma's inverse divides: a joint that is noisy anyway counts less": (step**2 * std**2).sum(-1),
@@ -49,12 +49,13 @@ def check_opposite(opposite: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None
         "That is the root of it, which has the same maximiser, but asked for is l_op as it is written": (
             (step / std).square().sum(-1).sqrt()
         ),
+        "That is the KL divergence; l_op is twice as large": (step / std).square().sum(-1) / 2,
         "One number for every observation: sum over the actions, do not average": (step / std).square().mean(-1),
     }
     got = opposite(mean, seen, std)
-    call = "opposite([[0, 0], [1, 1]], [[1, 1], [1, 3]], action_std=[0.5, 2])"
+    call = "opposite([[0, 0, 0], [1, 1, 1]], [[1, 1, 2], [1, 3, 2]], action_std=[0.5, 2, 1])"
     assert array(call, got).shape != (), f"{call} gives one number for both observations; each has its own"
-    compare(call, got, [4.25, 1.0], mistakes)
+    compare(call, got, [8.25, 2.0], mistakes)
     generator = torch.Generator().manual_seed(0)
     mean, seen = torch.randn(2, 20, 6, generator=generator)
     std = torch.rand(6, generator=generator) + 0.1

@@ -117,7 +117,8 @@ def check_mae_attacked(mae: Callable[..., float]) -> None:
     denoised[..., 0] *= -1  # an error has a sign until its absolute value is taken
     attacked = np.array([[1, 1], [1, 0], [0, 0], [1, 1]], dtype=bool)
     mask = np.array([[1, 1], [1, 1], [1, 1], [0, 0]], dtype=bool)
-    result = float(array("mae(denoised, obs, attacked, mask)", mae(denoised, obs, attacked, mask)))
+    result = array("mae(denoised, obs, attacked, mask)", mae(denoised, obs, attacked, mask))
+    assert result.ndim == 0, f"mae gives one number, the mean over steps and dimensions; yours has {list(result.shape)}"
     error = np.abs(denoised - obs)
     right = error[attacked & mask].mean()
     mistakes = {

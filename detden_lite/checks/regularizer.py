@@ -15,8 +15,8 @@ from detden_lite.victims import Victim
 def check_r_ppo(r_ppo: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None:
     """``r_ppo(action, reference, std)`` is R_ppo of each observation, ``[N, steps]``; std is ``[action_dim]``."""
     draw = torch.Generator().manual_seed(0)
-    action, reference = torch.randn(2, 3, 4, 2, generator=draw)
-    std = torch.tensor([0.5, 2.0])
+    action, reference = torch.randn(2, 3, 4, 3, generator=draw)
+    std = torch.tensor([0.5, 2.0, 1.5])
     moved, call = action - reference, "r_ppo(action, reference, std)"
     mistakes = {
         "Sigma is missing: that is the plain squared distance": moved.square().sum(-1),
@@ -24,6 +24,7 @@ def check_r_ppo(r_ppo: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None:
         "Divide by the variance once: (x / std) squared, or x squared / std^2": (moved / std.square()).square().sum(-1),
         "It is Sigma^-1: a quiet action, with a small std, counts more and not less": (moved * std).square().sum(-1),
         "R_ppo is the squared distance, without a root (R_td3 has one)": (moved / std).norm(dim=-1),
+        "That is the KL divergence; R_ppo is twice as large": (moved / std).square().sum(-1) / 2,
         "Sum over the actions; that is their mean": (moved / std).square().mean(-1),
         "Square before you sum, or differences of opposite signs cancel": (moved / std).sum(-1).square(),
     }
@@ -50,12 +51,14 @@ def check_training_loss(training_loss: Callable[..., Tensor]) -> None:
         torch.manual_seed(1)  # of the inner attack's random start
         return regularizer(model, obs, where, z).item()
 
-    def elbo_part(shown: Tensor, wanted: Tensor, where: Tensor = mask, weight: float = beta) -> float:
+    def elbo_part(
+        shown: Tensor, wanted: Tensor, where: Tensor = mask, weight: float = beta, over: float | None = None
+    ) -> float:
         with torch.no_grad():
             result = model(shown, noise)
             loss = reconstruction_loss(model, result.output, wanted)
             loss = loss + weight * kl_divergence(result.mean, result.log_variance)
-            return ((loss * where).sum() / where.sum()).item()
+            return ((loss * where).sum() / (over or where.sum())).item()
 
     all_steps, error = torch.ones(2, 6), elbo_part(perturbed, true)
     mistakes = {
@@ -74,6 +77,11 @@ def check_training_loss(training_loss: Callable[..., Tensor]) -> None:
         "the denoiser is shown the truth and asked for the attacked": elbo_part(true, perturbed) + lam * r(true),
         "the denoiser is shown the truth; it should see what is perturbed": elbo_part(true, true) + lam * r(true),
         "beta is missing before the KL": elbo_part(perturbed, true, weight=1.0) + lam * r(true),
+        "the KL is subtracted; it is small when it is good": elbo_part(perturbed, true, weight=-beta) + lam * r(true),
+        "reconstruction_loss has beta in it already; beta weighs the KL alone": (
+            beta * elbo_part(perturbed, true, weight=1.0) + lam * r(true)
+        ),
+        "divide by the number of steps that count, mask.sum()": elbo_part(perturbed, true, over=12.0) + lam * r(true),
         "the KL is missing": elbo_part(perturbed, true, weight=0.0) + lam * r(true),
     }
     call = "training_loss(model, regularizer, true, perturbed, mask, noise, 0.1, 0.5)"
@@ -120,6 +128,9 @@ def check_survives(survives: Callable[[Tensor, Tensor], Tensor]) -> None:
                 spread / total(action)
             ),
             "Divide by how much the TRUE actions vary, not the denoised ones": 1 - wrong / spread,
+            "var divides by n - 1; take unbiased=False, or the mean of squares": (
+                1 - (other - action).square().mean(0).sum() / action.var(0).sum()
+            ),
             "Square the differences": 1 - (other - action).abs().sum() / (action - mean).abs().sum(),
         }
         compare(f"survives for {name}", survives(action, other), expected, mistakes)

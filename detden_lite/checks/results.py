@@ -24,6 +24,10 @@ def check_kept_share(kept_share: Callable[[np.ndarray, np.ndarray, np.ndarray], 
     quotients = defended / clean
     alone = defended[drawn].mean(1) / clean.mean()
     right = ends(ratios)
+    given = kept_share(defended, clean, drawn)
+    assert not isinstance(given, tuple) or [np.ndim(part) for part in given] == [0, 0, 0], (
+        "kept_share(defended, clean, drawn) gives three numbers: the part, the lower end, the upper end"
+    )
     mistakes = {
         "That is the mean of the episodes' ratios; it should be the ratio of the two means": (
             quotients.mean(),
@@ -40,7 +44,7 @@ def check_kept_share(kept_share: Callable[[np.ndarray, np.ndarray, np.ndarray], 
             defended[drawn].mean(0) / clean[drawn].mean(0)
         ),
     }
-    compare("kept_share(defended, clean, drawn)", kept_share(defended, clean, drawn), right, mistakes, atol=1e-9)
+    compare("kept_share(defended, clean, drawn)", given, right, mistakes, atol=1e-9)
     wide = np.ptp(defended[drawn].mean(1) / clean[np.roll(drawn, 1, 0)].mean(1))
     print(
         f"Right. These returns rise and fall together, so that pairing pays: drawn apart, the ratios spread over "
@@ -50,8 +54,10 @@ def check_kept_share(kept_share: Callable[[np.ndarray, np.ndarray, np.ndarray], 
 
 def check_worst_elsewhere(worst_elsewhere: Callable[[np.ndarray, np.ndarray], float]) -> None:
     """``worst_elsewhere(chosen_on, reported_on)``: attacks in the rows, other episodes in either's columns."""
-    chosen_on = np.array([[5, 9, 7], [2, 12, 10], [5, 6, 6], [4, 20, 20.0]])
-    reported_on = np.array([[3, 1, 5], [9, 0, 3], [6, 7, 8], [9, 9, 9.6]])
+    chosen_on = np.array(
+        [[7, 9, 8, 7, 5], [10, 12, 11, 10, 2], [6, 6, 6, 6, 5], [20, 20, 20, 20, 4], [9, 9, 8, 9, 6.0]]
+    )
+    reported_on = np.array([[3, 1, 5, 4, 2], [9, 0, 3, 4, 6], [6, 7, 8, 9, 7], [9, 9, 9, 9.6, 9], [5, 8, 6, 7, 4]])
     worst = chosen_on.mean(1).argmin()
     mistakes = {
         "The attack is chosen on the episodes that it is reported on": reported_on.mean(1).min(),
@@ -60,6 +66,8 @@ def check_worst_elsewhere(worst_elsewhere: Callable[[np.ndarray, np.ndarray], fl
         "The attack is chosen by its worst episode; choose it by its mean": reported_on[1].mean(),
         "That attack leaves the most; the worst one leaves the least": reported_on[chosen_on.mean(1).argmax()].mean(),
         "That is the mean over all attacks": reported_on.mean(),
+        "That is which attack is the worst; report what it leaves": worst,
+        "The mean over the episodes of an attack is mean(1)": reported_on[chosen_on.mean(0).argmin()].mean(),
     }
     call, right = "worst_elsewhere(chosen_on, reported_on)", reported_on[worst].mean()
     compare(call, worst_elsewhere(chosen_on, reported_on), right, mistakes, atol=1e-9)
@@ -71,7 +79,7 @@ def check_worst_elsewhere(worst_elsewhere: Callable[[np.ndarray, np.ndarray], fl
 
 def check_f1(f1: Callable[[float, float, float], float]) -> None:
     """``f1(rate, misses, false_alarms)`` is the F1 of a detector with these error rates at this attack rate."""
-    for attacked, missed, clean, false in ((20, 5, 80, 8), (100, 1, 9_900, 99), (990, 0, 10, 10), (50, 50, 50, 1)):
+    for attacked, missed, clean, false in ((20, 5, 80, 8), (100, 1, 9_900, 99), (990, 0, 10, 10), (50, 49, 50, 1)):
         truth = np.arange(attacked + clean) < attacked
         alarm = np.concatenate(
             [np.arange(attacked) >= missed, np.arange(clean) < false]
@@ -88,6 +96,12 @@ def check_f1(f1: Callable[[float, float, float], float]) -> None:
             ),
             "The rate is not in it: of all steps, which part is attacked and found?": (
                 2 * (1 - misses) / (2 * (1 - misses) + misses + alarms)
+            ),
+            "That is the mean of precision and recall; F1 is their harmonic mean": (
+                ((hit / raised if raised else 0) + 1 - misses) / 2
+            ),
+            "That is the product of precision and recall; F1 is their harmonic mean": (
+                (hit / raised if raised else 0) * (1 - misses)
             ),
             "That is the precision: the part of the alarms that are right": hit / raised if raised else 0,
             "That is the recall: the part of the attacked steps that are found": 1 - misses,

@@ -62,6 +62,7 @@ def check_refit(refit: Callable[[np.ndarray, np.ndarray, int], np.ndarray]) -> N
         "The best elite has the weight 0 and the last the largest: count from the other end": (
             released / released.sum() @ best
         ),
+        "The last elite weighs 0; it should weigh 1": released[::-1] / released.sum() @ best,
         "The last elite weighs most: the best one should": falling[::-1] / 6 @ best,
         "These are the plans with the LARGEST returns; whoever attacks wants small ones": (
             falling / 6 @ plans[order[::-1][:3]]
