@@ -11,7 +11,7 @@ from detden_lite.runs import MAIN
 
 ROWS = (("hopper", "td3"), ("halfcheetah", "td3"), ("hopper", "ppo"), ("halfcheetah", "ppo"))  # that are adapted to
 _FORMS = dict(
-    text="{}, as in section 4.5", appendix="{}, as in appendix B", adaptive="{}, adaptive", coupled="{}, drifting",
+    text="{}, as in section 4.4", appendix="{}, as in appendix B", adaptive="{}, adaptive", coupled="{}, drifting",
 )  # fmt: skip
 
 

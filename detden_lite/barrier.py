@@ -1,4 +1,4 @@
-"""Is the stochastic barrier real? What the noise of the latents costs an attacker who knows the defence (section 4.5).
+"""Is the stochastic barrier real? What the noise of the latents costs an attacker who knows the defence (section 4.4).
 
 The paper explains the failure of its adaptive attacks by the sampling in detector and denoiser. So it is measured here
 step by step, in the middle of attacked episodes: how much more harm is done by averaging over samples, and to the same

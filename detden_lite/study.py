@@ -44,7 +44,7 @@ def seeds(purpose: str, n: int) -> range:
 CONTROLS = ("uniform", "gaussian", "fgsm")
 FOUR = ("opposite", "qfunction", "optimal", "enchanting")  # the paper's
 ATTACKS = (*CONTROLS, *FOUR, "linear")
-# Those that know the defence: as section 4.5 and appendix B print them, and as they should be.
+# Those that know the defence: as section 4.4 and appendix B print them, and as they should be.
 ADAPTIVE = (
     *(f"{form}-{attack}" for form in FORMS for attack in ("opposite", "qfunction", "enchanting")),
     "adaptive-opposite", "adaptive-qfunction", "adaptive-optimal", "coupled-opposite",

@@ -1,4 +1,4 @@
-"""An attacker who knows the defence: what he sees of it at one step, with gradients (section 4.5).
+"""An attacker who knows the defence: what he sees of it at one step, with gradients (section 4.4).
 
 He knows the networks, what they remember, and the threshold. The noise of their latents he does not know: he draws K
 samples of his own, and expects what is their mean (expectation over transformation, Athalye et al., 2018).

@@ -1,4 +1,4 @@
-"""The adaptive attacks as the paper prints them, in section 4.5 and in appendix B, which contradict each other."""
+"""The adaptive attacks as the paper prints them, in section 4.4 and in appendix B, which contradict each other."""
 
 from collections.abc import Callable
 
