@@ -75,8 +75,3 @@ def compare(adaptive: Mapping[tuple[str, str], Mapping], plain: Mapping[tuple[st
         if other := plain.get((unaware(attack), timing)):
             found.append(Comparison(attack, unaware(attack), record, change(record, other), failed(record, other)))
     return found
-
-
-def worst(adaptive: Mapping[tuple[str, str], Mapping], plain: Mapping[tuple[str, str], Mapping]) -> tuple | None:
-    """The (attack, timing) of all records that leaves the least, whatever its attacker knows; None without any."""
-    return kept.worst({**plain, **adaptive})

@@ -56,6 +56,17 @@ def of_clean(record: Mapping, bare: Mapping) -> Share:
     return _ratio([np.array(record["returns"][:n])], np.array(bare["returns"][:n]))
 
 
+def at_worst(records: Mapping[tuple[str, str], Mapping], bare: Mapping) -> tuple[tuple[str, str], Share] | None:
+    """The ``worst`` (attack, timing) and the part that it leaves; None if there is no attacked record.
+
+    Args:
+        records: of the defended victim.
+        bare: of the undefended victim when nobody attacks.
+    """
+    cell = worst(records)
+    return cell and (cell, of_clean(records[cell], bare))
+
+
 def on_average(records: Mapping[tuple[str, str], Mapping], bare: Mapping, timing: str = "always") -> Share | None:
     """The mean over the four attacks of what is kept, as the paper's table 2 averages; None if one is missing.
 

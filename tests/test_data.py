@@ -11,7 +11,7 @@ import torch
 
 from detden_lite import ablations, artifacts, cards, defend, evaluation
 from detden_lite.budget import Budget
-from detden_lite.defense import DetectAndDenoise
+from detden_lite.defense import DetectAndDenoise, Detector
 from detden_lite.defense.baselines import Identity
 from detden_lite.metrics import estimate
 from detden_lite.rollout import rollout
@@ -86,15 +86,24 @@ def test_every_model_loads_and_answers(name):
     assert model(torch.zeros(2, 3, model.obs_dim)).output.isfinite().all()
 
 
-@pytest.mark.parametrize(("folder", "variant"), DEFENSES)
-def test_every_detector_is_silent_for_most_of_a_clean_episode(folder, variant):
-    """Of one that nobody steers: after a false alarm of its own the printed denoiser sees what was never normal."""
+@pytest.mark.parametrize(("folder", "data"), sorted({(folder, VARIANTS[name].data) for folder, name in DEFENSES}))
+def test_every_detector_is_silent_for_most_of_a_clean_episode(folder, data):
     task, algo = folder.split("-")
-    defense = artifacts.load_defense(task, algo, variant, DATA)
-    watched = DetectAndDenoise(defense.detector, Identity())
+    model, sidecar = artifacts.load_model(task, algo, f"detector-{data}", DATA)
+    watched = DetectAndDenoise(Detector(model, sidecar["threshold"]), Identity())
     victim = artifacts.load_victim(task, algo, DATA)
     episodes = rollout(victim, get_task(task), seeds("report", 4), defense=watched)
     assert episodes.alarm[episodes.mask].mean() < 0.2
+
+
+@pytest.mark.parametrize(("folder", "variant"), DEFENSES)
+def test_every_variant_but_the_printed_one_is_silent_for_most_of_a_clean_episode(folder, variant):
+    """After its first false alarm the printed denoiser leads the robot astray, and the alarm goes on: chapter 4."""
+    task, algo = folder.split("-")
+    defense = artifacts.load_defense(task, algo, variant, DATA)
+    victim = artifacts.load_victim(task, algo, DATA)
+    episodes = rollout(victim, get_task(task), seeds("report", 4), defense=defense, steps=125)
+    assert (episodes.alarm[episodes.mask].mean() < 0.5) == (variant != "printed")
 
 
 @pytest.mark.parametrize("name", RECORDS)

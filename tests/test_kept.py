@@ -7,7 +7,7 @@ from test_attacked import record
 from detden_lite import artifacts, study
 from detden_lite.artifacts import ArtifactError
 from detden_lite.attacked import CLEAN
-from detden_lite.kept import load, of_clean, on_average, worst
+from detden_lite.kept import at_worst, load, of_clean, on_average, worst
 from detden_lite.runs import MAIN
 
 RNG = np.random.default_rng(0)
@@ -32,9 +32,11 @@ def test_only_records_of_this_defence_are_loaded_and_altered_ones_refused(tmp_pa
 
 def test_the_worst_cell_is_attacked():
     records = {CLEAN: record([0, 0])}
-    assert worst(records) is None
+    assert worst(records) is None and at_worst(records, record([10, 10])) is None
     records |= {("opposite", "always"): record([5, 6]), ("optimal", "vulnerable"): record([5, 5])}
     assert worst(records) == ("optimal", "vulnerable")
+    cell, part = at_worst(records, record([10, 10]))
+    assert cell == ("optimal", "vulnerable") and part == of_clean(record([5, 5]), record([10, 10]))
 
 
 def test_what_is_kept_is_a_ratio_of_means_over_the_same_episodes():

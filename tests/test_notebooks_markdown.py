@@ -23,6 +23,7 @@ def labels():
         ("see {ref}`above <sec-a>`", "see above"),
         ("a role goes on: {ref}`above and\nbelow <sec-a>`", "a role goes on: above and below"),
         ("{doc}`the first chapter <01-mdp>`", "[the first chapter](01-mdp.ipynb)"),
+        ("{doc}`that page <../paper-and-code>`", "[that page](../book/chapters/../paper-and-code.md)"),
         ("[the first](01-mdp.md) or [there](01-mdp.md#sec-a)", "[the first](01-mdp.ipynb) or [there](01-mdp.ipynb)"),
         ("{cite:p}`xiong2022,zhang2020`", "(Xiong et al., 2022; Zhang and Chen, 2020)"),
         ("{cite:t}`xiong2022` show", "Xiong et al. (2022) show"),

@@ -252,9 +252,12 @@ def test_the_files_may_lie_on_a_volume_that_snakemake_does_not_see(tmp_path):
 
 def test_whom_the_defended_adversaries_attack_is_the_librarys_main_defence(tmp_path):
     printed = run(tmp_path, "--dry-run", "--printshellcmds", "--config", "only=hopper-td3")
-    needed = re.search(r"rule adversary_defended:\n    input: (.+)\n", printed)[1].split(", ")
     parts = {f"hopper-td3/detector-{VARIANTS[MAIN].data}.json", f"hopper-td3/denoiser-{MAIN}.json"}
-    assert {name for name in needed if re.search("detector.*json|denoiser.*json", name)} == parts
+    for rule, others in (("adversary_defended", set()), ("adaptive", set(evaluation.RESIDUAL_OR_NOT))):
+        needed = re.search(rf"rule {rule}:\n    input: (.+)\n", printed)[1].split(", ")
+        found = {name for name in needed if re.search("detector.*json|denoiser.*json", name)}
+        assert parts | {f"hopper-td3/denoiser-{name}.json" for name in others} <= found
+        assert others or found == parts
 
 
 def test_what_each_variant_is_trained_on_is_what_the_library_says(tmp_path):

@@ -35,7 +35,7 @@ def check_hidden(hidden: Callable[[Callable, Tensor, Tensor, Tensor], Tensor]) -
         "The score is the LARGEST deviation; that is the mean": -(deviation / scale).abs().mean(-1),
         "The score is the LARGEST deviation; that is the sum": -(deviation / scale).abs().sum(-1),
         "The score is the largest deviation in size: abs() before amax": -(deviation / scale).amax(-1),
-        "The score is the largest deviation in SIZE: abs() before amax": -(-deviation / scale).amax(-1),
+        "A deviation may have either sign: abs() before amax": -(-deviation / scale).amax(-1),
     }
     call = "hidden(det, obs, perturbed, scale)"
     got = hidden(det, obs, perturbed, scale)
