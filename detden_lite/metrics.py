@@ -162,7 +162,7 @@ def detection_delay(episodes: Episodes) -> DetectionDelay:
 def live_dimensions(clean: Episodes) -> np.ndarray:
     """Which observations vary in clean episodes, ``[obs_dim]`` bool: to denoise a constant is no merit.
 
-    Those whose standard deviation is above 1e-4, as for the z-scoring of the GRU-VAE.
+    Those whose standard deviation is above 1e-4.
     """
     return clean.obs[clean.mask].std(0, dtype=np.float64) > 1e-4
 

@@ -7,7 +7,7 @@ import torch
 from builders import BUDGET
 
 from detden_lite.defense.augmentation import Trajectories
-from detden_lite.defense.gruvae import reconstruction_loss
+from detden_lite.defense.gruvae import LEAST_STD, reconstruction_loss
 from detden_lite.defense.regularizer import Regularizer
 from detden_lite.defense.training import VAERecipe, train_gruvae
 from detden_lite.victims import Victim
@@ -147,8 +147,7 @@ def test_padding_teaches_nothing():
 
 
 def test_statistics_are_those_of_the_true_observations():
-    attacked = Trajectories(NORMAL.obs + 100, NORMAL.lengths)
-    model = train_gruvae(replace(RECIPE, epochs=1), [(NORMAL, NORMAL), (attacked, NORMAL)], 0)
+    model = train_gruvae(replace(RECIPE, epochs=1), BOTH, 0)
     seen = NORMAL.obs[NORMAL.mask]
     assert np.allclose(model.obs_mean, seen.mean(0), atol=1e-5) and np.allclose(model.obs_std, seen.std(0), rtol=1e-2)
 
@@ -179,6 +178,20 @@ def test_a_denoiser_comes_closer_to_the_truth_than_what_it_is_given():
     assert (
         np.abs((denoised - held_out.obs) / unit)[mask].mean() < 0.6 * np.abs((given - held_out.obs) / unit)[mask].mean()
     )
+
+
+def test_what_an_attack_drowns_is_measured_by_the_attack_and_not_passed_on():
+    """The second of three observations varies by seven, the others never; an attack moves each of them by three."""
+    still = replace(NORMAL, obs=NORMAL.obs * np.float32([0, 1, 0]))
+    attacked = replace(still, obs=still.obs + 3 * still.mask[..., None].astype(np.float32))
+    recipe = replace(RECIPE, epochs=1, residual=True)
+    model = train_gruvae(recipe, [(still, still), (attacked, still)], 0)
+    std = still.obs[still.mask].std(0)[1]
+    assert np.allclose(model.obs_std, [3, std, 3], rtol=1e-2) and 3 < 10 * std
+    assert model.config["residual"] == [False, True, False]
+    # Without an attack, as a detector is trained, nothing is drowned.
+    model = train_gruvae(recipe, [(still, still)], 0)
+    assert np.allclose(model.obs_std, [LEAST_STD, std, LEAST_STD], rtol=1e-2) and model.config["residual"] is True
 
 
 def test_the_trained_model_is_frozen():

@@ -77,7 +77,7 @@ def test_the_units_of_observations_do_not_matter():
 def test_observations_that_hardly_vary_are_not_blown_up():
     model = GRUVAE(3)
     model.set_statistics(torch.zeros(3), torch.tensor([0.0, 1e-9, 2.0]))
-    assert model.obs_std.tolist() == [1.0, 1.0, 2.0]
+    assert np.allclose(model.obs_std, [0.01, 0.01, 2.0])
 
 
 def test_a_residual_model_without_a_correction_is_the_identity():
@@ -85,6 +85,14 @@ def test_a_residual_model_without_a_correction_is_the_identity():
     model.to_output.weight.zero_()
     model.to_output.bias.zero_()
     assert torch.allclose(model(obs, normal(2, 5, 4)).output, obs, atol=1e-6)
+
+
+def test_a_residual_output_may_leave_observations_out():
+    """Of the same weights: where the input is added it agrees with the residual model, elsewhere with the plain one."""
+    added = [True] * 4 + [False] * 7
+    obs, noise = normal(2, 5, 11), normal(2, 5, 4)
+    some, every, none = (make_gruvae(residual=kind)(obs, noise).output for kind in (added, True, False))
+    assert torch.equal(some, torch.where(torch.tensor(added), every, none)) and not torch.equal(every, none)
 
 
 def test_kl_divergence_is_that_of_torch():

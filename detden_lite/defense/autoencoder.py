@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from detden_lite.defense.augmentation import Trajectories
-from detden_lite.defense.gruvae import reconstruction_loss
+from detden_lite.defense.gruvae import LEAST_STD, reconstruction_loss
 from detden_lite.victims import mlp
 
 
@@ -85,7 +85,7 @@ def train_autoencoder(
     target, versions = torch.from_numpy(normal.obs), [torch.from_numpy(t.obs) for t in inputs]
     std, mean = torch.std_mean(target[episode, step], 0)
     model.obs_mean.copy_(mean)
-    model.obs_std.copy_(torch.where(std > 1e-4, std, 1.0))  # as in the GRU-VAE
+    model.obs_std.copy_(std.clamp(min=LEAST_STD))
     optimizer = torch.optim.Adam(model.parameters(), lr=learning_rate)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs * math.ceil(len(step) / batch))
     for _ in tqdm(range(epochs), desc="denoising auto-encoder", unit="epoch"):

@@ -1,11 +1,12 @@
 """The GRU-VAE of figure 3: a variational auto-encoder whose encoder and decoder remember the episode."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
+LEAST_STD = 1e-2  # of an observation, in raw units; one that never varies has to be measured in something
 State = tuple[Tensor, Tensor]  # encoder_state h^o and decoder_state h^z, [layers, N, hidden] each
 
 
@@ -30,10 +31,17 @@ class GRUVAE(nn.Module):
         layers: layers of both GRUs (table 5).
         latent: size of z (table 5, "embedding size").
         residual: False, as the paper has it: the output is the decoder's. True: the output is the input plus the
-            decoder's, which then only has to learn the correction.
+            decoder's, which then only has to learn the correction. A bool for each observation: some are added.
     """
 
-    def __init__(self, obs_dim: int, hidden: int = 64, layers: int = 1, latent: int = 64, residual: bool = False):
+    def __init__(
+        self,
+        obs_dim: int,
+        hidden: int = 64,
+        layers: int = 1,
+        latent: int = 64,
+        residual: bool | Sequence[bool] = False,
+    ):
         super().__init__()
         self.config = dict(obs_dim=obs_dim, hidden=hidden, layers=layers, latent=latent, residual=residual)
         self.encoder = nn.GRU(obs_dim, hidden, layers, batch_first=True)
@@ -43,6 +51,8 @@ class GRUVAE(nn.Module):
         self.to_output = nn.Linear(hidden, obs_dim)
         self.register_buffer("obs_mean", torch.zeros(obs_dim))
         self.register_buffer("obs_std", torch.ones(obs_dim))
+        added = torch.as_tensor(residual, dtype=torch.float32).expand(obs_dim).clone()
+        self.register_buffer("added", added, persistent=False)
 
     @property
     def obs_dim(self) -> int:
@@ -74,15 +84,13 @@ class GRUVAE(nn.Module):
     def decode(self, z: Tensor, obs: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """The output ``[N, steps, obs_dim]`` for a latent of ``obs``, and the decoder's next state."""
         decoded, state = self.decoder(z, state)
-        out = self.to_output(decoded)
-        if self.config["residual"]:
-            out = (obs - self.obs_mean) / self.obs_std + out
+        out = self.added * (obs - self.obs_mean) / self.obs_std + self.to_output(decoded)
         return out * self.obs_std + self.obs_mean, state
 
     def set_statistics(self, mean: Tensor, std: Tensor) -> None:
-        """Take the z-scoring's statistics, ``[obs_dim]`` each. Observations that hardly vary are left in raw units."""
+        """Take the z-scoring's statistics, ``[obs_dim]`` each; no observation varies by less than ``LEAST_STD``."""
         self.obs_mean.copy_(mean)
-        self.obs_std.copy_(torch.where(std > 1e-4, std, 1.0))
+        self.obs_std.copy_(std.clamp(min=LEAST_STD))
 
     @classmethod
     def from_state(cls, config: Mapping, state: Mapping[str, Tensor]) -> "GRUVAE":

@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from detden_lite.artifacts import replace_file
 from detden_lite.defense.augmentation import Trajectories, intermittent
-from detden_lite.defense.gruvae import GRUVAE, kl_divergence, reconstruction_loss
+from detden_lite.defense.gruvae import GRUVAE, LEAST_STD, kl_divergence, reconstruction_loss
 from detden_lite.defense.regularizer import Regularizer
 from detden_lite.draws import derived_seed
 
@@ -64,6 +64,9 @@ def train_gruvae(
 
     Every epoch is seeded by (seed, epoch), so that a run resumed from its checkpoint equals one that never stopped.
 
+    Observations are measured in their standard deviations. Where an attack moves one by more than ten of these, its own
+    value tells nothing: it is measured in the largest move instead, and a residual output leaves it out.
+
     Args:
         recipe: the hyperparameters.
         pairs: ``[(normal, normal)]`` for a detector; for a denoiser an ``(adversarial, normal)`` of each attack too.
@@ -83,9 +86,13 @@ def train_gruvae(
         raise ValueError(f"regularizer: the recipe weighs it with lam = {recipe.lam}, so give one")
     torch.manual_seed(seed)
     target = pairs[0][1]
-    model = GRUVAE(target.obs.shape[-1], recipe.hidden, recipe.layers, recipe.latent, recipe.residual)
     seen = torch.from_numpy(target.obs[target.mask])
-    model.set_statistics(seen.mean(0), seen.std(0))
+    mean, std = seen.mean(0), seen.std(0).clamp(min=LEAST_STD)
+    moved = torch.from_numpy(largest_moves(pairs))
+    drowned = moved > 10 * std
+    residual = recipe.residual and (~drowned).tolist() if drowned.any() else recipe.residual
+    model = GRUVAE(target.obs.shape[-1], recipe.hidden, recipe.layers, recipe.latent, residual)
+    model.set_statistics(mean, torch.where(drowned, moved, std))
     optimizer = torch.optim.Adam(model.parameters(), lr=recipe.learning_rate)
     identity = dict(asdict(recipe), seed=seed, regularizer=regularizer.settings if recipe.lam else None)
     first = _resume(checkpoint, identity, model, optimizer) if checkpoint else 0
@@ -108,6 +115,11 @@ def train_gruvae(
             if after_epoch:
                 after_epoch(epoch, model)
     return model.requires_grad_(False).eval()
+
+
+def largest_moves(pairs: list[tuple[Trajectories, Trajectories]]) -> np.ndarray:
+    """The largest distance between an input and its target of each observation, ``[obs_dim]``."""
+    return np.max([np.abs(a - b).max(0) for inputs, t in pairs for a, b in zip(inputs.obs, t.obs, strict=True)], axis=0)
 
 
 def _train_on(model: GRUVAE, optimizer, recipe: VAERecipe, pairs, batch: np.ndarray, regularizer) -> float:
