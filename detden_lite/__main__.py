@@ -9,6 +9,7 @@ from detden_lite import (
     ablations,
     adversaries,
     barrier,
+    curve,
     durations,
     evaluation,
     gallery,
@@ -90,6 +91,9 @@ def parser() -> argparse.ArgumentParser:
         "--variants", nargs="+", choices=VARIANTS, default=list(barrier.VARIANTS),
         help="the defences to look at; default: %(default)s",
     )  # fmt: skip
+    add("curve", curve.curve, "measure both sides of the appendix's bound along a denoiser's training").add_argument(
+        "--variant", choices=VARIANTS, default="residual", help="default: %(default)s"
+    )
     add("epsilon", sweeps.epsilon, "attack at several sizes of the ball")
     add("planning", sweeps.planning, "run the enchanting attack with several planners")
     add("look", gallery.look, "record and film an episode, attacked and not (needs a GL driver)").add_argument(

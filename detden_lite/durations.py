@@ -17,8 +17,8 @@ from detden_lite.victim_training import train_victim
 STAGES = (
     "victim", "select", "qfunction", "trajectories", "augmentation", "detector", "denoiser", "baselines", "threshold",
     "timing", "adversary", "choose", "adversary_defended", "choose_defended", "linear", "attacks", "evaluation",
-    "ablation", "adaptive", "look", "portrait", "epsilon", "planning", "barrier", "gallery", "slip",
-    "defend",
+    "ablation", "adaptive", "look", "portrait", "epsilon", "planning", "barrier", "curve", "gallery",
+    "slip", "defend",
 )  # fmt: skip
 RECORD = "durations.json"  # in data/
 

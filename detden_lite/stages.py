@@ -1,13 +1,13 @@
 """The recipe's stages. Each makes the files of one folder that are missing, so that running it again resumes it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
 from detden_lite import artifacts, metrics, qfunction, selection, study, victim_training, vulnerability
-from detden_lite.defense import Detector, augmentation
+from detden_lite.defense import GRUVAE, Detector, augmentation
 from detden_lite.defense.detector import calibrate, clean_scores, conformal_threshold
 from detden_lite.defense.regularizer import Regularizer
 from detden_lite.defense.training import train_gruvae
@@ -135,8 +135,27 @@ def train_detector(run: Run, data: str, seed: int = 0) -> None:
     artifacts.save_model(run.task.name, run.algo, f"detector-{data}", model, sidecar, run.root)
 
 
-def train_denoiser(run: Run, variant: str, seed: int = 0, parts: Sequence[str] = ()) -> None:
-    """Train a variant's denoiser on D_normal and its parts of D_adv, or those given."""
+def fit_denoiser(
+    run: Run,
+    variant: str,
+    seed: int = 0,
+    parts: Sequence[str] = (),
+    checkpoint: str = "denoiser",
+    after_epoch: Callable[[int, GRUVAE], None] | None = None,
+) -> tuple[GRUVAE, dict]:
+    """Train a variant's denoiser on D_normal and its parts of D_adv, or those given.
+
+    Args:
+        run: where.
+        variant: a key of ``VARIANTS``.
+        seed: of the training.
+        parts: of D_adv.
+        checkpoint: how the checkpoint's name begins.
+        after_epoch: see ``train_gruvae``.
+
+    Returns:
+        The model, and what its sidecar says of it.
+    """
     chosen = VARIANTS[variant]
     parts = tuple(parts) or chosen.adversarial
     normal, *adversarial = (load_trajectories(run, f"{part}-{chosen.data}") for part in ("normal", *parts))
@@ -144,12 +163,17 @@ def train_denoiser(run: Run, variant: str, seed: int = 0, parts: Sequence[str] =
     regularizer = Regularizer(run.victim(), run.budget) if recipe.lam else None
     model = train_gruvae(
         recipe, [(normal, normal), *((attacked, normal) for attacked in adversarial)], seed,
-        run.folder / "checkpoints" / f"denoiser-{variant}.ckpt", label=f"{variant} denoiser", regularizer=regularizer,
+        run.folder / "checkpoints" / f"{checkpoint}-{variant}.ckpt", after_epoch, f"{variant} denoiser", regularizer,
     )  # fmt: skip
-    sidecar = dict(
+    return model, dict(
         data=chosen.data, adversarial=parts, recipe=asdict(recipe), seed=seed, trajectories=len(normal),
         regularizer=regularizer and regularizer.settings,
     )  # fmt: skip
+
+
+def train_denoiser(run: Run, variant: str, seed: int = 0, parts: Sequence[str] = ()) -> None:
+    """Train a variant's denoiser and ship it: see ``fit_denoiser``."""
+    model, sidecar = fit_denoiser(run, variant, seed, parts)
     artifacts.save_model(run.task.name, run.algo, f"denoiser-{variant}", model, sidecar, run.root)
 
 

@@ -47,7 +47,7 @@ ATTACKS = (*CONTROLS, *FOUR, "linear")
 # Those that know the defence: as section 4.4 and appendix B print them, and as they should be.
 ADAPTIVE = (
     *(f"{form}-{attack}" for form in FORMS for attack in ("opposite", "qfunction", "enchanting")),
-    "adaptive-opposite", "adaptive-qfunction", "adaptive-optimal", "coupled-opposite",
+    "adaptive-opposite", "adaptive-qfunction", "adaptive-enchanting", "adaptive-optimal", "coupled-opposite",
 )  # fmt: skip
 _KINDS = dict(adaptive=AdaptiveAttack, coupled=CoupledAttack)
 TIMINGS = ("always", "vulnerable", "random")

@@ -60,7 +60,7 @@ def test_a_training_that_is_killed_and_resumed_is_one_that_never_stopped(tmp_pat
         train_gruvae(recipe, BOTH, 3, path, kill_after(last), **context)
     seen = []
     resumed = train_gruvae(recipe, BOTH, 3, path, lambda epoch, model: seen.append(epoch), **context)
-    assert seen == list(range(last + 1, RECIPE.epochs))
+    assert seen == list(range(last, RECIPE.epochs))
     assert same(resumed, uninterrupted)
 
 

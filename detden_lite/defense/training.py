@@ -72,7 +72,7 @@ def train_gruvae(
         pairs: ``[(normal, normal)]`` for a detector; for a denoiser an ``(adversarial, normal)`` of each attack too.
         seed: of initialisation, order and latent samples.
         checkpoint: file to write after every epoch and to resume from; None for neither.
-        after_epoch: called with (epoch, model).
+        after_epoch: called with (epoch, model); for the epoch that a run resumes from once more.
         label: text of the progress bar.
         regularizer: R, for a recipe with ``lam`` above 0.
 
@@ -96,6 +96,8 @@ def train_gruvae(
     optimizer = torch.optim.Adam(model.parameters(), lr=recipe.learning_rate)
     identity = dict(asdict(recipe), seed=seed, regularizer=regularizer.settings if recipe.lam else None)
     first = _resume(checkpoint, identity, model, optimizer) if checkpoint else 0
+    if first and after_epoch:
+        after_epoch(first - 1, model)
 
     # One index over all pairs: the i-th sequence of the p-th pair.
     index = np.concatenate([np.stack([np.full(len(t), p), np.arange(len(t))], 1) for p, (_, t) in enumerate(pairs)])
