@@ -18,13 +18,10 @@ from detden_lite.defense.denoiser import Denoiser
 from detden_lite.defense.detector import Detector
 from detden_lite.defense.gruvae import GRUVAE
 from detden_lite.defense.pipeline import DetectAndDenoise
+from detden_lite.files import ArtifactError, replace_files
 from detden_lite.victims import Victim
 
 DATA = Path(os.environ.get("DETDEN_DATA", Path(__file__).resolve().parents[1] / "data"))
-
-
-class ArtifactError(Exception):
-    """A file of data/ is missing, altered, or not what it should be; the message says which and what to do."""
 
 
 def write_bytes(path: Path, content: bytes, root: Path = DATA) -> None:
@@ -233,35 +230,3 @@ def _bytes(state: Mapping[str, Tensor]) -> bytes:
 
 def _json(content: Mapping) -> bytes:
     return (json.dumps(content, indent=1, allow_nan=False) + "\n").encode()
-
-
-def unwritable(path: Path, error: OSError) -> ArtifactError:
-    """What to raise when the disk refuses a file or a folder."""
-    return ArtifactError(f"{path} could not be written ({error.strerror}); free some space and run again")
-
-
-def replace_file(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all: a kill on the way leaves the old one, and so does a full disk.
-
-    Raises:
-        ArtifactError: if there is no room for it.
-    """
-    replace_files({Path(path): content})
-
-
-def replace_files(files: Mapping[Path, bytes]) -> None:
-    """Write files that belong together, all or none: each is written whole before the first takes its place.
-
-    Raises:
-        ArtifactError: if there is no room for them.
-    """
-    news = {path: path.with_name(path.name + ".new") for path in files}
-    try:
-        for path, content in files.items():
-            news[path].write_bytes(content)
-        for path, new in news.items():
-            os.replace(new, path)
-    except OSError as error:
-        for new in news.values():
-            new.unlink(missing_ok=True)
-        raise unwritable(path, error) from None

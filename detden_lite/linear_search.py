@@ -10,7 +10,7 @@ from safetensors.torch import load_file, save
 from torch import Tensor
 from tqdm import tqdm
 
-from detden_lite.artifacts import replace_file
+from detden_lite.files import replace_file
 from detden_lite.tasks import Task
 from detden_lite.victim_training import claim
 from detden_lite.victims import Victim

@@ -13,8 +13,8 @@ import numpy as np
 from safetensors.torch import save
 from tqdm import tqdm
 
-from detden_lite.artifacts import replace_file, unwritable
 from detden_lite.draws import derived_seed
+from detden_lite.files import replace_file, unwritable
 from detden_lite.tasks import Task
 from detden_lite.victim_recipes import PPORecipe, TD3Recipe, task_worlds
 from detden_lite.victims import Victim
