@@ -23,8 +23,8 @@ class Gaussian:
 
         Args:
             normal: D_normal.
-            ridge: added to each variance, as a part of it (in raw units where an observation hardly varies, as in the
-                GRU-VAE): a direction that never varies would make every deviation infinitely unlikely.
+            ridge: added to each variance, as a part of it (in raw units where an observation hardly varies): a
+                direction that never varies would make every deviation infinitely unlikely.
 
         Raises:
             ValueError: if ``ridge`` is not positive.
