@@ -11,6 +11,7 @@ import torch
 
 from detden_lite import ablations, artifacts, cards, defend, evaluation
 from detden_lite.budget import Budget
+from detden_lite.curve import both_sides, play
 from detden_lite.defense import DetectAndDenoise, Detector
 from detden_lite.defense.baselines import Identity
 from detden_lite.metrics import estimate
@@ -137,6 +138,14 @@ def test_every_record_is_of_the_models_that_are_shipped(name):
 def test_the_table_of_a_defended_victim_is_complete(folder):
     variants = [variant for name, variant in DEFENSES if name == folder]
     assert {cell.record_name(*folder.split("-")) for cell in evaluation.cells(variants)} <= set(RECORDS)
+
+
+def test_the_curve_of_a_training_ends_at_the_denoiser_that_is_shipped():
+    run, known = Run.of(DATA, "hopper", "td3", "lite"), artifacts.read_json(DATA / "hopper-td3" / "curve.json")
+    defense = run.defense(known["variant"])
+    found = both_sides(run, defense.denoiser.model, defense.detector, play(run, run.victim(), known["seeds"][1]))
+    assert known["epochs"][-1]["mae"] == pytest.approx(found["mae"], rel=0.02)
+    assert known["epochs"][-1]["error"] == pytest.approx(found["error"], rel=0.05)
 
 
 @pytest.mark.parametrize("folder", ATTACKED)
