@@ -88,9 +88,11 @@ def train_gruvae(
     target = pairs[0][1]
     seen = torch.from_numpy(target.obs[target.mask])
     mean, std = seen.mean(0), seen.std(0).clamp(min=LEAST_STD)
-    moved = torch.from_numpy(largest_moves(pairs))
+    moved = torch.from_numpy(_largest_moves(pairs))
     drowned = moved > 10 * std
-    residual = recipe.residual and (~drowned).tolist() if drowned.any() else recipe.residual
+    residual = recipe.residual
+    if residual and drowned.any():
+        residual = (~drowned).tolist()
     model = GRUVAE(target.obs.shape[-1], recipe.hidden, recipe.layers, recipe.latent, residual)
     model.set_statistics(mean, torch.where(drowned, moved, std))
     optimizer = torch.optim.Adam(model.parameters(), lr=recipe.learning_rate)
@@ -119,7 +121,7 @@ def train_gruvae(
     return model.requires_grad_(False).eval()
 
 
-def largest_moves(pairs: list[tuple[Trajectories, Trajectories]]) -> np.ndarray:
+def _largest_moves(pairs: list[tuple[Trajectories, Trajectories]]) -> np.ndarray:
     """The largest distance between an input and its target of each observation, ``[obs_dim]``."""
     return np.max([np.abs(a - b).max(0) for inputs, t in pairs for a, b in zip(inputs.obs, t.obs, strict=True)], axis=0)
 
