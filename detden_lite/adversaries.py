@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from detden_lite import artifacts, linear_search, selection, study, victim_training
+from detden_lite import artifacts, linear_search, models, selection, study, victim_training
 from detden_lite.attacks import OptimalAttack
 from detden_lite.linear_search import LinearMaps, LinearRecipe
 from detden_lite.rollout import rollout
@@ -122,8 +122,8 @@ def _ship(run: Run, kind: str, recipe: type, folders: Iterable[Path], timings: S
         selection_seeds=[episodes["selection"][0], n],
         learning_curves=chosen.curves,
     )
-    path = artifacts.adversary_path(run.task.name, run.algo, kind, run.root)
+    path = models.adversary_path(run.task.name, run.algo, kind, run.root)
     if artifacts.promised(path, run.root) not in (None, artifacts.digest(chosen.policy.state_dict())):
         for record in (run.root / "results").glob(f"{run.folder.name}.{kind}.*"):
             record.unlink()
-    artifacts.save_adversary(run.task.name, run.algo, kind, chosen.policy, sidecar, run.root)
+    models.save_adversary(run.task.name, run.algo, kind, chosen.policy, sidecar, run.root)

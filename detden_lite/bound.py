@@ -4,23 +4,17 @@
     TV                        <=  sqrt(KL / 2)                       ``pinsker``
     KL                        <=  C_1 C_2 ||mu_2 - mu_1||^2          ``c_1``, ``c_2``
     ||mu_2 - mu_1||           <=  L ||o' - o||                       ``lipschitz_certified``
-    ||o' - o||                <=  max ||den(o_hat) - o||             ``worst_errors``
+    ||o' - o||                <=  max ||den(o_hat) - o||             ``detden_lite.worst_error``
 
 Here nu is the attacker with whatever defence stands behind him: the policy acts on nu(s) and the world goes on from s.
 The paper prints V_pi(o) - V_pi(o') on the left of the first line, which is another quantity and is not bounded so.
 """
 
-from collections.abc import Callable
-from functools import partial
 from math import inf, sqrt
 
 import torch
 from torch import Tensor, nn
 
-from detden_lite.ascent import ascend
-from detden_lite.budget import Budget
-from detden_lite.defense.gruvae import GRUVAE
-from detden_lite.draws import Draws
 from detden_lite.gradients import value_and_gradient
 from detden_lite.victims import Victim
 
@@ -166,52 +160,6 @@ def largest_gamma(tv: float) -> float:
 def beta(alpha: float, lipschitz: float, c_2: float, c_1: float = 0.5) -> float:
     """The factor of the paper's theorem 1, alpha L sqrt(C_1 C_2 / 2). L and C_2 are those of pi, and so beta is too."""
     return alpha * lipschitz * sqrt(0.5 * c_1 * c_2)
-
-
-def worst_error(
-    denoise: Callable[[Tensor], Tensor], obs: Tensor, budget: Budget, draws: Draws, steps: int = 20, restarts: int = 1
-) -> tuple[Tensor, Tensor]:
-    """The last factor of theorem 1, max over o_hat in B(o) of ||den(o_hat) - o||_2, as far as an attack finds it.
-
-    Args:
-        denoise: maps ``[N, obs_dim]`` to ``[N, obs_dim]``, row by row.
-        obs: true observations ``[N, obs_dim]``.
-        budget: the ball.
-        draws: of the random starts: at ``obs`` itself the gradient may vanish.
-        steps: of gradient ascent.
-        restarts: how many starts.
-
-    Returns:
-        The perturbed observations ``[N, obs_dim]`` and the error there ``[N]``, a lower estimate of the largest.
-    """
-
-    def error(perturbed: Tensor) -> Tensor:
-        return torch.linalg.vector_norm(denoise(perturbed) - obs, dim=-1)
-
-    found = ascend(error, obs, budget, draws, steps, restarts=restarts)
-    with torch.no_grad():
-        return found, error(found)
-
-
-def worst_errors(
-    model: GRUVAE, obs: Tensor, budget: Budget, draws: Draws, steps: int = 20, restarts: int = 1
-) -> Tensor:
-    """``worst_error`` of a recurrent denoiser along recorded episodes ``[N, steps, obs_dim]``, ``[N, steps]``.
-
-    The denoiser remembers the attacked episode, and takes the mean of its latent. The attacker seeks the largest error
-    of the present step, and does not plan for the next.
-    """
-    state, errors = None, []
-    for now in obs.unbind(1):
-        found, error = worst_error(partial(_denoise, model, state), now, budget, draws, steps, restarts)
-        with torch.no_grad():
-            state = model(found[:, None], state=state).state
-        errors.append(error)
-    return torch.stack(errors, 1)
-
-
-def _denoise(model: GRUVAE, state, perturbed: Tensor) -> Tensor:
-    return model(perturbed[:, None], state=state).output[:, 0]
 
 
 def _checked(gamma: float, reward_range: float) -> float:

@@ -11,6 +11,7 @@ from detden_lite.rollout import Episodes, rollout
 from detden_lite.runs import Run
 from detden_lite.study import seeds
 from detden_lite.victims import Victim
+from detden_lite.worst_error import worst_errors
 
 NOISE = 0.2  # on a TD3 victim's actions, in units of half their range: without noise the total variation is 0 or 1
 GAMMA = 0.99
@@ -62,7 +63,7 @@ def both_sides(run: Run, model: GRUVAE, detector: Detector, clean: Episodes) -> 
     """
     victim, (n, steps) = run.victim(), ATTACKED
     recorded = torch.from_numpy(clean.obs[:steps, :n]).swapaxes(0, 1)
-    errors = bound.worst_errors(model, recorded, run.budget, Draws(0)).T[clean.mask[:steps, :n]]
+    errors = worst_errors(model, recorded, run.budget, Draws(0)).T[clean.mask[:steps, :n]]
     defense = DetectAndDenoise(detector, Denoiser(model), always=True)
     played = play(run, victim, len(clean.seeds), run.opposite(victim), defense)
     return dict(

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from gymnasium.envs.mujoco import MujocoEnv
 
-from detden_lite import artifacts, evaluation, stages
+from detden_lite import artifacts, evaluation, models, stages
 from detden_lite.budget import Budget
 from detden_lite.defended import Defended
 from detden_lite.runs import MAIN, VARIANTS, Run
@@ -147,7 +147,7 @@ def _claim(run: Run, victim: Victim, seed: int) -> None:
             f"folder: {run.folder} holds the defence of another {', '.join(other)}; give another folder, or remove it"
         )
     if not artifacts.is_made(kept, run.root):
-        artifacts.save_victim(run.task.name, run.algo, victim, dict(env_id=run.task.env_id), run.root)
+        models.save_victim(run.task.name, run.algo, victim, dict(env_id=run.task.env_id), run.root)
     if not artifacts.is_made(path, run.root):
         artifacts.write_json(path, settings, run.root)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from detden_lite import artifacts
+from detden_lite import artifacts, models
 from detden_lite.attacks import OppositeAttack, QFunctionAttack
 from detden_lite.budget import Budget
 from detden_lite.defense import DetectAndDenoise
@@ -90,19 +90,19 @@ class Run:
                 shutil.rmtree(path)
 
     def victim(self) -> Victim:
-        return artifacts.load_victim(self.task.name, self.algo, self.root)
+        return models.load_victim(self.task.name, self.algo, self.root)
 
     def defense(self, variant: str) -> DetectAndDenoise:
-        return artifacts.load_defense(self.task.name, self.algo, variant, self.root)
+        return models.load_defense(self.task.name, self.algo, variant, self.root)
 
     def threat(self) -> Threat:
         """The attacker of the evaluations, with the timing that was tuned and the adversaries that are there."""
         tuned = artifacts.read_json(self.folder / "timing.json", self.root)
         row = (self.task.name, self.algo)
         adversaries = {
-            kind: artifacts.load_adversary(*row, kind, self.root)
-            for kind in artifacts.ADVERSARIES
-            if artifacts.adversary_path(*row, kind, self.root).exists()
+            kind: models.load_adversary(*row, kind, self.root)
+            for kind in models.ADVERSARIES
+            if models.adversary_path(*row, kind, self.root).exists()
         }
         return replace(self.untimed_threat, c_vul=tuned["c_vul"], rate=tuned["attack_rate"], adversaries=adversaries)
 

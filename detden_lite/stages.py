@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from detden_lite import artifacts, metrics, qfunction, selection, study, victim_training, vulnerability
+from detden_lite import artifacts, metrics, models, qfunction, selection, study, victim_training, vulnerability
 from detden_lite.defense import GRUVAE, Detector, augmentation
 from detden_lite.defense.detector import calibrate, clean_scores, conformal_threshold
 from detden_lite.defense.regularizer import Regularizer
@@ -63,7 +63,7 @@ def select_victim(run: Run) -> None:
         ],
     )
     run.forget_others(chosen.policy)
-    artifacts.save_victim(run.task.name, run.algo, chosen.policy, sidecar, run.root)
+    models.save_victim(run.task.name, run.algo, chosen.policy, sidecar, run.root)
 
 
 def learn_q(run: Run, seed: int = 0) -> None:
@@ -132,7 +132,7 @@ def train_detector(run: Run, data: str, seed: int = 0) -> None:
         conformal=bool(np.isfinite(conformal)), false_alarms=FALSE_ALARMS,
         calibration_quantiles=_quantiles(scores),
     )  # fmt: skip
-    artifacts.save_model(run.task.name, run.algo, f"detector-{data}", model, sidecar, run.root)
+    models.save_model(run.task.name, run.algo, f"detector-{data}", model, sidecar, run.root)
 
 
 def fit_denoiser(
@@ -174,7 +174,7 @@ def fit_denoiser(
 def train_denoiser(run: Run, variant: str, seed: int = 0, parts: Sequence[str] = ()) -> None:
     """Train a variant's denoiser and ship it: see ``fit_denoiser``."""
     model, sidecar = fit_denoiser(run, variant, seed, parts)
-    artifacts.save_model(run.task.name, run.algo, f"denoiser-{variant}", model, sidecar, run.root)
+    models.save_model(run.task.name, run.algo, f"denoiser-{variant}", model, sidecar, run.root)
 
 
 def tune_timing(run: Run) -> None:

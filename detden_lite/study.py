@@ -82,7 +82,7 @@ class Threat:
     c_vul: float = -np.inf  # threshold of the vulnerable timing
     rate: float = 1.0  # of the random timing
     planner: Mapping[str, int] = field(default_factory=dict)  # arguments of ``CEMPlanner``
-    adversaries: Mapping[str, Victim] = field(default_factory=dict)  # "optimal", "linear": ``artifacts.load_adversary``
+    adversaries: Mapping[str, Victim] = field(default_factory=dict)  # "optimal", "linear": ``models.load_adversary``
     adaptive: Mapping[str, int] = field(default_factory=dict)  # arguments of ``AdaptiveAttack``, for its variants too
 
     def attack(self, name: str, victim: Victim, task: Task):

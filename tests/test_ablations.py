@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from builders import make_victim
 
-from detden_lite import ablations, artifacts, evaluation, stages
+from detden_lite import ablations, artifacts, evaluation, models, stages
 from detden_lite.attacks import OppositeAttack, Random
 from detden_lite.rollout import rollout
 from detden_lite.runs import MAIN, Run, load_trajectories
@@ -17,7 +17,7 @@ from detden_lite.study import seeds
 def run(tmp_path_factory) -> Run:
     """The parts of the main defence of an untrained victim, and the baselines."""
     run = Run.of(tmp_path_factory.mktemp("ablations"), "hopper", "td3", "tiny")
-    artifacts.save_victim("hopper", "td3", make_victim(), {}, run.root)
+    models.save_victim("hopper", "td3", make_victim(), {}, run.root)
     stages.collect(run, "diverse")
     stages.augment(run, "diverse")
     stages.train_detector(run, "diverse")

@@ -9,7 +9,7 @@ from builders import BUDGET, HOPPER, make_gruvae, make_victim
 from safetensors.torch import load_file, save_file
 from stable_baselines3.common.vec_env import VecMonitor
 
-from detden_lite import adversaries, artifacts, evaluation, study, victim_training
+from detden_lite import adversaries, artifacts, evaluation, models, study, victim_training
 from detden_lite.adversary_env import AdversaryEnv
 from detden_lite.attacks import OptimalAttack, Vulnerable
 from detden_lite.rollout import rollout
@@ -68,7 +68,7 @@ def test_a_folder_with_the_adversary_of_another_victim_is_refused(trained):
 @pytest.fixture
 def run(tmp_path) -> Run:
     """A run with a victim that falls at different times, when it is vulnerable, and no more."""
-    artifacts.save_victim("hopper", "td3", make_victim(seed=8), {}, tmp_path)
+    models.save_victim("hopper", "td3", make_victim(seed=8), {}, tmp_path)
     artifacts.write_json(tmp_path / "hopper-td3" / "timing.json", dict(c_vul=C_VUL, attack_rate=0.5), tmp_path)
     return Run.of(tmp_path, "hopper", "td3", "tiny")
 
@@ -115,7 +115,7 @@ def test_the_chosen_adversary_is_the_one_that_leaves_the_least(run):
     curves = card["learning_curves"]
     assert [curve["steps"] for curve in curves] == [list(range(6)), list(range(6, 14))]
     assert [m for curve in curves for m in curve["mean"]] == pytest.approx(list(screening.values()))
-    shipped = artifacts.load_adversary("hopper", "td3", "optimal", run.root)
+    shipped = models.load_adversary("hopper", "td3", "optimal", run.root)
     assert artifacts.digest(shipped.state_dict()) == artifacts.digest(load_file(best))
 
 
@@ -162,7 +162,7 @@ def test_a_member_is_trained_on_the_victim_of_the_run_within_its_budget(run):
 def test_an_adversary_learns_with_the_defence_inside_and_has_its_cells(run):
     run = replace(run, scale=replace(run.scale, horizon=8))
     for name, model in ((f"denoiser-{MAIN}", make_gruvae(seed=1, residual=True)), ("detector-diverse", make_gruvae())):
-        artifacts.save_model("hopper", "td3", name, model, dict(data="diverse", threshold=1.5), run.root)
+        models.save_model("hopper", "td3", name, model, dict(data="diverse", threshold=1.5), run.root)
     adversaries.train_member(run, 0, defended=True)
     folder = run.folder / "checkpoints" / "defended-adversary-0"
     recipe = json.loads((folder / "recipe.json").read_text())
@@ -189,7 +189,7 @@ def test_an_adversary_learns_with_the_defence_inside_and_has_its_cells(run):
 
 def test_a_linear_adversary_is_searched_and_shipped(run):
     adversaries.search_linear(run)
-    shipped = artifacts.load_adversary("hopper", "td3", "linear", run.root)
+    shipped = models.load_adversary("hopper", "td3", "linear", run.root)
     assert shipped.config["actor"] == [11, 11] and (shipped.obs_std != 1).any()
     card = artifacts.read_json(run.folder / "adversary-linear.json", run.root)
     assert card["step"] in (1, 2) and card["recipe"]["population"] == 8

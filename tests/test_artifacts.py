@@ -10,7 +10,7 @@ import pytest
 import torch
 from builders import make_gruvae, make_victim, normal
 
-from detden_lite import artifacts
+from detden_lite import artifacts, models
 from detden_lite.artifacts import ArtifactError
 from detden_lite.victims import Victim, mlp
 
@@ -18,24 +18,24 @@ from detden_lite.victims import Victim, mlp
 @pytest.fixture
 def root(tmp_path):
     """A data folder with a victim, a defence and a record."""
-    artifacts.save_victim("hopper", "td3", make_victim(seed=3), dict(step=7), tmp_path)
-    artifacts.save_model("hopper", "td3", "detector-diverse", make_gruvae(), dict(threshold=1.5), tmp_path)
+    models.save_victim("hopper", "td3", make_victim(seed=3), dict(step=7), tmp_path)
+    models.save_model("hopper", "td3", "detector-diverse", make_gruvae(), dict(threshold=1.5), tmp_path)
     denoiser = make_gruvae(residual=True)
-    artifacts.save_model("hopper", "td3", "denoiser-residual", denoiser, dict(data="diverse"), tmp_path)
+    models.save_model("hopper", "td3", "denoiser-residual", denoiser, dict(data="diverse"), tmp_path)
     artifacts.write_json(tmp_path / "results" / "cell.json", dict(mean=1.5), tmp_path)
     return tmp_path
 
 
 def test_what_was_saved_is_what_is_loaded(root):
     obs = normal(5, 11)
-    victim = artifacts.load_victim("hopper", "td3", root)
+    victim = models.load_victim("hopper", "td3", root)
     assert torch.equal(victim(obs), make_victim(seed=3)(obs)) and torch.equal(
         victim.value(obs), make_victim(seed=3).value(obs)
     )
-    model, sidecar = artifacts.load_model("hopper", "td3", "denoiser-residual", root)
+    model, sidecar = models.load_model("hopper", "td3", "denoiser-residual", root)
     assert torch.equal(model(obs[None]).output, make_gruvae(residual=True)(obs[None]).output)
     assert sidecar["data"] == "diverse" and sidecar["versions"]["torch"].startswith(torch.__version__.split("+")[0])
-    defense = artifacts.load_defense("hopper", "td3", "residual", root)
+    defense = models.load_defense("hopper", "td3", "residual", root)
     assert defense.detector.threshold == 1.5 and defense.denoiser.model.config["residual"]
     assert artifacts.load_record("cell", root) == dict(mean=1.5)
 
@@ -43,8 +43,8 @@ def test_what_was_saved_is_what_is_loaded(root):
 @pytest.mark.parametrize("gaussian", [False, True])
 def test_both_kinds_of_victims_go_to_disk_and_back(tmp_path, gaussian):
     victim, obs = make_victim(gaussian=gaussian), normal(5, 11)
-    artifacts.save_victim("hopper", "any", victim, {}, tmp_path)
-    again = artifacts.load_victim("hopper", "any", tmp_path)
+    models.save_victim("hopper", "any", victim, {}, tmp_path)
+    again = models.load_victim("hopper", "any", tmp_path)
     assert torch.equal(again(obs), victim(obs)) and (again.action_std is None) == (not gaussian)
 
 
@@ -72,7 +72,7 @@ def replace_by_pickle(path):
 def test_a_harmed_file_is_refused_by_name(root, harm, name):
     harm(root / "hopper-td3" / name)
     with pytest.raises(ArtifactError, match=name):
-        artifacts.load_victim("hopper", "td3", root)
+        models.load_victim("hopper", "td3", root)
 
 
 @pytest.mark.parametrize("harm", [truncate, alter, os.remove])
@@ -86,13 +86,13 @@ def test_a_harmed_record_is_refused_by_name(root, harm):
 def test_without_a_whole_manifest_nothing_is_trusted(root, harm):
     harm(root / "manifest.json")
     with pytest.raises(ArtifactError, match="manifest.json"):
-        artifacts.load_victim("hopper", "td3", root)
+        models.load_victim("hopper", "td3", root)
 
 
 def test_a_pickle_is_not_opened_even_where_the_manifest_has_it(root):
     artifacts.write_bytes(root / "hopper-td3" / "victim.safetensors", pickle.dumps(Bomb()), root)
     with pytest.raises(ArtifactError, match="victim.safetensors.*safetensors format"):
-        artifacts.load_victim("hopper", "td3", root)
+        models.load_victim("hopper", "td3", root)
     artifacts.write_bytes(root / "victim.pkl", pickle.dumps(Bomb()), root)
     with pytest.raises(ArtifactError, match="victim.pkl.*never pickles"):
         artifacts.load_tensors(root / "victim.pkl", root)
@@ -109,7 +109,7 @@ def test_weights_that_do_not_fit_their_sidecar_are_refused(root):
     for broken in (dict(config=dict(actor=[11, 9, 3])), dict(config=dict(color="red")), {}):
         artifacts.write_json(folder / "victim.json", broken, root)
         with pytest.raises(ArtifactError, match="victim.safetensors does not fit its sidecar"):
-            artifacts.load_victim("hopper", "td3", root)
+            models.load_victim("hopper", "td3", root)
 
 
 def test_numbers_that_json_does_not_know_are_refused(root):
@@ -134,7 +134,7 @@ CRITIC = [14, 8, 1]
 def ppo(tmp_path) -> Victim:
     """A shipped PPO victim with a critic that was learned and shipped afterwards, and the victim as it was."""
     victim = make_victim(gaussian=True)
-    artifacts.save_victim("hopper", "ppo", victim, {}, tmp_path)
+    models.save_victim("hopper", "ppo", victim, {}, tmp_path)
     artifacts.save_tensors(tmp_path / "hopper-ppo" / "critic.safetensors", critic().state_dict(), CARD, tmp_path)
     return victim
 
@@ -148,7 +148,7 @@ def critic():
 
 
 def test_a_learned_critic_comes_with_its_victim(tmp_path, ppo):
-    loaded, obs, action = artifacts.load_victim("hopper", "ppo", tmp_path), normal(6, 11), normal(6, 3, seed=1)
+    loaded, obs, action = models.load_victim("hopper", "ppo", tmp_path), normal(6, 11), normal(6, 3, seed=1)
     assert torch.equal(loaded.q(obs, action), critic()(loaded.critic_input(obs, action)).squeeze(-1))
     for name in ("forward", "mean", "value"):  # V is the value network's still
         assert torch.equal(getattr(loaded, name)(obs), getattr(ppo, name)(obs))
@@ -156,7 +156,7 @@ def test_a_learned_critic_comes_with_its_victim(tmp_path, ppo):
     assert (gradient != 0).any(-1).all()
     (tmp_path / "hopper-ppo" / "critic.safetensors").unlink()
     with pytest.raises(ValueError, match="no Q-function"):
-        artifacts.load_victim("hopper", "ppo", tmp_path).q(obs, action)
+        models.load_victim("hopper", "ppo", tmp_path).q(obs, action)
 
 
 @pytest.mark.parametrize("harm", [truncate, alter, replace_by_pickle])
@@ -164,7 +164,7 @@ def test_a_learned_critic_comes_with_its_victim(tmp_path, ppo):
 def test_a_harmed_critic_is_refused_by_name(tmp_path, ppo, harm, name):
     harm(tmp_path / "hopper-ppo" / name)
     with pytest.raises(ArtifactError, match=name):
-        artifacts.load_victim("hopper", "ppo", tmp_path)
+        models.load_victim("hopper", "ppo", tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -174,7 +174,7 @@ def test_a_harmed_critic_is_refused_by_name(tmp_path, ppo, harm, name):
 def test_a_critic_that_does_not_fit_is_refused(tmp_path, ppo, card):
     artifacts.write_json(tmp_path / "hopper-ppo" / "critic.json", card, tmp_path)
     with pytest.raises(ArtifactError, match="critic.safetensors does not fit its sidecar"):
-        artifacts.load_victim("hopper", "ppo", tmp_path)
+        models.load_victim("hopper", "ppo", tmp_path)
 
 
 def test_weights_whose_sidecar_cannot_be_written_are_not_replaced(root):
@@ -192,7 +192,7 @@ def everything(root) -> dict[str, bytes]:
 FULL_DISK = """
 import json, pathlib, resource, signal, sys
 import torch
-from detden_lite import artifacts
+from detden_lite import artifacts, models
 from detden_lite.defense.augmentation import Trajectories
 from detden_lite.defense.training import VAERecipe, train_gruvae
 
@@ -251,7 +251,7 @@ def test_a_full_disk_leaves_every_file_as_it_was(root):
 
 KILLED_WRITE = """
 import os, pathlib, signal, sys
-from detden_lite import artifacts
+from detden_lite import artifacts, models
 
 root, victim = pathlib.Path(sys.argv[1]), sys.argv[2]
 write_whole = pathlib.Path.write_bytes
@@ -291,16 +291,16 @@ def test_writers_side_by_side_all_stand_in_the_manifest(tmp_path):
 @pytest.mark.parametrize("kind", ["optimal", "linear"])
 def test_an_adversary_goes_to_disk_and_back(tmp_path, kind):
     adversary, obs = Victim([11, 8, 11] if kind == "optimal" else [11, 11], gaussian=True), normal(5, 11)
-    artifacts.save_adversary("hopper", "td3", kind, adversary, dict(step=7), tmp_path)
-    assert torch.equal(artifacts.load_adversary("hopper", "td3", kind, tmp_path)(obs), adversary(obs))
+    models.save_adversary("hopper", "td3", kind, adversary, dict(step=7), tmp_path)
+    assert torch.equal(models.load_adversary("hopper", "td3", kind, tmp_path)(obs), adversary(obs))
     other = "linear" if kind == "optimal" else "optimal"
     with pytest.raises(ArtifactError, match="adversary.*is missing"):
-        artifacts.load_adversary("hopper", "td3", other, tmp_path)
+        models.load_adversary("hopper", "td3", other, tmp_path)
 
 
 def test_what_is_no_adversary_is_refused(tmp_path):
-    artifacts.save_adversary("hopper", "td3", "optimal", make_victim(), {}, tmp_path)
+    models.save_adversary("hopper", "td3", "optimal", make_victim(), {}, tmp_path)
     with pytest.raises(ArtifactError, match="adversary.safetensors does not fit .*11 observations to 3 perturbations"):
-        artifacts.load_adversary("hopper", "td3", "optimal", tmp_path)
+        models.load_adversary("hopper", "td3", "optimal", tmp_path)
     with pytest.raises(ValueError, match="kind must be one of optimal, linear, adaptive-optimal, not 'best'"):
-        artifacts.load_adversary("hopper", "td3", "best", tmp_path)
+        models.load_adversary("hopper", "td3", "best", tmp_path)

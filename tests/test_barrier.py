@@ -9,7 +9,7 @@ import torch
 from builders import BUDGET, HOPPER, make_defense, make_gruvae, make_victim, normal
 from test_cards import ship
 
-from detden_lite import artifacts, barrier
+from detden_lite import artifacts, barrier, models
 from detden_lite.__main__ import main
 from detden_lite.attacks import OppositeAttack
 from detden_lite.barrier import alignment, attacked, deviation, measure, moment, signal_to_noise, silenced
@@ -86,10 +86,10 @@ def test_everything_is_measured_at_every_step_that_is_asked_for(played, monkeypa
 def test_the_stage_stores_what_it_measures_once(tmp_path):
     ship(tmp_path)
     for data in {VARIANTS[name].data for name in barrier.VARIANTS}:
-        artifacts.save_model("hopper", "td3", f"detector-{data}", make_gruvae(), dict(threshold=1.0), tmp_path)
+        models.save_model("hopper", "td3", f"detector-{data}", make_gruvae(), dict(threshold=1.0), tmp_path)
     for name in barrier.VARIANTS:
         card = dict(data=VARIANTS[name].data)
-        artifacts.save_model("hopper", "td3", f"denoiser-{name}", make_gruvae(), card, tmp_path)
+        models.save_model("hopper", "td3", f"denoiser-{name}", make_gruvae(), card, tmp_path)
     path = tmp_path / "hopper-td3" / "barrier.json"
     main(["barrier", "--root", str(tmp_path)])
     record, made = artifacts.read_json(path, tmp_path), path.stat().st_mtime_ns

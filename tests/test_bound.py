@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from builders import BUDGET, HOPPER, make_gruvae, make_victim, normal, steady
+from builders import HOPPER, make_victim, normal, steady
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
@@ -14,8 +14,6 @@ from scipy.stats import norm
 from torch.distributions import MultivariateNormal, kl_divergence
 
 from detden_lite import bound
-from detden_lite.budget import Budget
-from detden_lite.draws import Draws
 from detden_lite.finite_mdp import FiniteMDP, largest_tv, leaving
 from detden_lite.victims import Victim
 
@@ -223,45 +221,6 @@ def test_the_links_hold_together(seed):
     tv = bound.total_variation(bound.mahalanobis(victim.mean(obs), victim.mean(other), cov))
     factor = bound.beta(1.0, bound.lipschitz_certified(victim), bound.c_2(cov))
     assert (tv <= factor * (other - obs).norm(dim=-1)).all()
-
-
-# The denoiser's largest error
-
-
-def test_the_identity_errs_by_the_distance_to_the_corners():
-    obs = normal(4, 11)
-    found, error = bound.worst_error(lambda x: x, obs, BUDGET, Draws(0))
-    assert torch.allclose(error, torch.full((4,), BUDGET.epsilon * math.sqrt(11)), rtol=1e-5)
-    assert BUDGET.contains(obs, found).all()
-
-
-def test_of_a_linear_denoiser_the_largest_error_is_found():
-    """The error is convex, so that its largest value is at one of the box's 2^d corners: try them all."""
-    d, budget, obs = 6, Budget(0.3), normal(3, 6, seed=1)
-    matrix, offset = normal(d, d, seed=2), normal(d, seed=3)
-
-    def denoise(x):
-        return x @ matrix.T + offset
-
-    corners = obs[:, None] + 0.3 * torch.tensor(list(itertools.product([-1.0, 1.0], repeat=d)))
-    largest = (denoise(corners) - obs[:, None]).norm(dim=-1).amax(1)
-    _, error = bound.worst_error(denoise, obs, budget, Draws(0), restarts=20)
-    assert torch.allclose(error, largest, rtol=1e-5)
-
-
-def test_along_an_episode_the_attack_is_stronger_than_sampling_and_the_denoiser_remembers():
-    model, obs = make_gruvae(residual=True), normal(3, 6, 11)
-
-    def fresh(x):
-        return model(x[:, None]).output[:, 0]
-
-    errors, draws = bound.worst_errors(model, obs, BUDGET, Draws(0)), Draws(0)
-    forgetful = torch.stack([bound.worst_error(fresh, now, BUDGET, draws)[1] for now in obs.unbind(1)], 1)
-    assert torch.allclose(errors[:, 0], forgetful[:, 0])
-    assert not torch.isclose(errors[:, 1:], forgetful[:, 1:]).any()  # from the same random starts
-    for seed in range(50):
-        sampled = BUDGET.sample(obs[:, 0], Draws(seed))
-        assert ((fresh(sampled) - obs[:, 0]).norm(dim=-1) <= errors[:, 0]).all()
 
 
 # The value

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from builders import HOPPER, make_victim, run_with_gl
 
-from detden_lite import artifacts, figures, stages
+from detden_lite import artifacts, figures, models, stages
 from detden_lite.cards import PAPER, PUBLISHED, ROWS, live, load_card, load_cards
 from detden_lite.metrics import estimate
 from detden_lite.tasks import TASKS
@@ -30,7 +30,7 @@ def ship(root: Path, task: str = "hopper", algo: str = "td3", **changes) -> None
         ],
     )  # fmt: skip
     victim = make_victim(TASKS[task], gaussian=algo == "ppo")
-    artifacts.save_victim(task, algo, victim, {**about, **changes}, root)
+    models.save_victim(task, algo, victim, {**about, **changes}, root)
 
 
 def test_the_rows_are_the_papers_and_each_has_numbers_to_compare_with():

@@ -5,7 +5,7 @@ from builders import make_gruvae
 from scipy.stats import norm
 from test_cards import ship
 
-from detden_lite import artifacts, curve, stages
+from detden_lite import artifacts, curve, models, stages
 from detden_lite.__main__ import main
 from detden_lite.curve import both_sides, discounted, noise_of, play, total_variations
 from detden_lite.defense import Detector
@@ -15,8 +15,8 @@ from detden_lite.runs import Run
 @pytest.fixture
 def run(tmp_path):
     ship(tmp_path)
-    artifacts.save_model("hopper", "td3", "detector-diverse", make_gruvae(), dict(threshold=1.0), tmp_path)
-    artifacts.save_model("hopper", "td3", "denoiser-residual", make_gruvae(), dict(data="diverse"), tmp_path)
+    models.save_model("hopper", "td3", "detector-diverse", make_gruvae(), dict(threshold=1.0), tmp_path)
+    models.save_model("hopper", "td3", "denoiser-residual", make_gruvae(), dict(data="diverse"), tmp_path)
     return Run.of(tmp_path, "hopper", "td3", "tiny")
 
 
@@ -77,7 +77,7 @@ def test_the_stage_measures_every_epoch_and_goes_on_where_it_was_killed(run, tmp
     assert record["variant"] == "residual" and len(record["epochs"]) == run.scale.defense.epochs
     # What is trained once more is what was shipped, and the last epoch is measured of it.
     stages.train_denoiser(run, "residual")
-    model = artifacts.load_model("hopper", "td3", "denoiser-residual", tmp_path)[0]
+    model = models.load_model("hopper", "td3", "denoiser-residual", tmp_path)[0]
     clean = play(run, run.victim(), record["seeds"][1])
     found = measure(run, model, run.defense("residual").detector, clean)
     assert all(record["epochs"][-1][name] == pytest.approx(value) for name, value in found.items())

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from detden_lite import ablations, artifacts, cards, defend, evaluation
+from detden_lite import ablations, artifacts, cards, defend, evaluation, models
 from detden_lite.budget import Budget
 from detden_lite.curve import both_sides, play
 from detden_lite.defense import DetectAndDenoise, Detector
@@ -69,7 +69,7 @@ def test_it_is_small():
 def test_every_victim_walks_as_its_card_says(folder):
     """The card's numbers are those of its returns, and the first second of report episodes goes well."""
     task, algo = folder.split("-")
-    victim, card = artifacts.load_victim(task, algo, DATA), artifacts.read_json(DATA / folder / "victim.json", DATA)
+    victim, card = models.load_victim(task, algo, DATA), artifacts.read_json(DATA / folder / "victim.json", DATA)
     assert card["estimate"] == asdict(estimate(card["returns"]))
     episodes = rollout(victim, get_task(task), seeds("report", 4), steps=125)
     assert episodes.mask.all()
@@ -82,7 +82,7 @@ def test_every_victim_walks_as_its_card_says(folder):
 def test_every_model_loads_and_answers(name):
     folder, stem = name.removesuffix(".safetensors").split("/")
     task, algo = folder.split("-")
-    model, _ = artifacts.load_model(task, algo, stem, DATA)
+    model, _ = models.load_model(task, algo, stem, DATA)
     assert model.obs_dim == get_task(task).obs_dim
     assert model(torch.zeros(2, 3, model.obs_dim)).output.isfinite().all()
 
@@ -90,9 +90,9 @@ def test_every_model_loads_and_answers(name):
 @pytest.mark.parametrize(("folder", "data"), sorted({(folder, VARIANTS[name].data) for folder, name in DEFENSES}))
 def test_every_detector_is_silent_for_most_of_a_clean_episode(folder, data):
     task, algo = folder.split("-")
-    model, sidecar = artifacts.load_model(task, algo, f"detector-{data}", DATA)
+    model, sidecar = models.load_model(task, algo, f"detector-{data}", DATA)
     watched = DetectAndDenoise(Detector(model, sidecar["threshold"]), Identity())
-    victim = artifacts.load_victim(task, algo, DATA)
+    victim = models.load_victim(task, algo, DATA)
     episodes = rollout(victim, get_task(task), seeds("report", 4), defense=watched)
     assert episodes.alarm[episodes.mask].mean() < 0.2
 
@@ -101,8 +101,8 @@ def test_every_detector_is_silent_for_most_of_a_clean_episode(folder, data):
 def test_every_variant_but_the_printed_one_is_silent_for_most_of_a_clean_episode(folder, variant):
     """After its first false alarm the printed denoiser leads the robot astray, and the alarm goes on: chapter 4."""
     task, algo = folder.split("-")
-    defense = artifacts.load_defense(task, algo, variant, DATA)
-    victim = artifacts.load_victim(task, algo, DATA)
+    defense = models.load_defense(task, algo, variant, DATA)
+    victim = models.load_victim(task, algo, DATA)
     episodes = rollout(victim, get_task(task), seeds("report", 4), defense=defense, steps=125)
     assert (episodes.alarm[episodes.mask].mean() < 0.5) == (variant != "printed")
 
@@ -165,7 +165,7 @@ def test_no_attack_on_a_victim_is_half_recorded(folder):
 def test_the_policy_that_is_not_the_papers_is_defended_by_the_one_call_and_does_again_what_its_records_tell():
     """Swimmer never falls, and does not magnify rounding: the returns of two report episodes."""
     before = {path: path.stat().st_mtime_ns for path in DATA.rglob("*")}
-    victim = artifacts.load_victim("swimmer", "ppo", DATA)
+    victim = models.load_victim("swimmer", "ppo", DATA)
     defended = defend(victim, "Swimmer-v5", Budget(SWIMMER.epsilon), "lite", DATA)
     assert {path: path.stat().st_mtime_ns for path in DATA.rglob("*")} == before
     threat = Threat(Budget(SWIMMER.epsilon), steps=20)

@@ -7,7 +7,7 @@ from builders import make_gruvae, run_with_gl
 from PIL import Image
 from test_cards import ship
 
-from detden_lite import artifacts, films, stages
+from detden_lite import artifacts, films, models, stages
 from detden_lite.runs import MAIN
 from detden_lite.victims import Victim
 
@@ -21,10 +21,10 @@ main(["gallery", "--root", sys.argv[1], "--attacks", "opposite", "qfunction", "o
 def test_all_attacks_are_filmed_side_by_side_and_recorded_one_by_one(tmp_path):
     root = tmp_path / "run"
     ship(root)
-    artifacts.save_model("hopper", "td3", "detector-diverse", make_gruvae(), dict(threshold=1.0), root)
-    artifacts.save_model("hopper", "td3", f"denoiser-{MAIN}", make_gruvae(), dict(data="diverse"), root)
+    models.save_model("hopper", "td3", "detector-diverse", make_gruvae(), dict(threshold=1.0), root)
+    models.save_model("hopper", "td3", f"denoiser-{MAIN}", make_gruvae(), dict(data="diverse"), root)
     artifacts.write_json(root / "hopper-td3" / "timing.json", dict(c_vul=0.0, attack_rate=0.5), root)
-    artifacts.save_adversary("hopper", "td3", "optimal", Victim([11, 11]), {}, root)
+    models.save_adversary("hopper", "td3", "optimal", Victim([11, 11]), {}, root)
     run_with_gl(SCRIPT, root)
 
     about = next(imageio_ffmpeg.read_frames(root / "films" / "hopper-td3-attacks.mp4"))
@@ -41,8 +41,8 @@ def test_all_attacks_are_filmed_side_by_side_and_recorded_one_by_one(tmp_path):
 
 def test_an_episode_under_an_attack_that_rings_no_alarm_is_recorded(tmp_path):
     ship(tmp_path)
-    artifacts.save_model("hopper", "td3", "detector-diverse", make_gruvae(), dict(threshold=1.0), tmp_path)
-    artifacts.save_model("hopper", "td3", f"denoiser-{MAIN}", make_gruvae(), dict(data="diverse"), tmp_path)
+    models.save_model("hopper", "td3", "detector-diverse", make_gruvae(), dict(threshold=1.0), tmp_path)
+    models.save_model("hopper", "td3", f"denoiser-{MAIN}", make_gruvae(), dict(data="diverse"), tmp_path)
     artifacts.write_json(tmp_path / "hopper-td3" / "timing.json", dict(c_vul=0.0, attack_rate=0.5), tmp_path)
     command = 'main(["slip", "--root", sys.argv[1]])'
     run_with_gl(f"import sys\nfrom detden_lite.__main__ import main\n{command}", tmp_path)

@@ -17,7 +17,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecNormalize
 
 import detden_lite
-from detden_lite import artifacts
+from detden_lite import artifacts, models
 from detden_lite.__main__ import main
 from detden_lite.budget import Budget
 from detden_lite.own import task_of
@@ -62,12 +62,12 @@ def scores(defense, obs) -> np.ndarray:
 
 def test_everything_of_a_ppo_lies_in_the_folder_and_loads(defended, ppo):
     found, folder = defended
-    victim = artifacts.load_victim("invertedpendulum", "ppo", folder)
+    victim = models.load_victim("invertedpendulum", "ppo", folder)
     obs = normal(10, 3, 4)
     assert torch.equal(victim(obs[0]), found.victim(obs[0]))
     seen = ppo[1].normalize_obs(obs[0].numpy())
     assert np.allclose(found.victim(obs[0]), ppo[0].predict(seen, deterministic=True)[0], atol=1e-5)
-    loaded = artifacts.load_defense("invertedpendulum", "ppo", MAIN, folder)
+    loaded = models.load_defense("invertedpendulum", "ppo", MAIN, folder)
     assert loaded.detector.threshold == found.defense.detector.threshold
     assert not loaded.ablations and loaded.denoiser.model.config["residual"]
     assert np.array_equal(scores(loaded, obs), scores(found.defense, obs))
@@ -206,7 +206,7 @@ def test_the_package_itself_loads_nothing_and_defending_needs_no_trainer():
 
 
 def test_the_stage_of_the_recipe_defends_its_victim_and_writes_down_how_that_went_once(tmp_path):
-    artifacts.save_victim("swimmer", "ppo", make_victim(SWIMMER, gaussian=True), {}, tmp_path)
+    models.save_victim("swimmer", "ppo", make_victim(SWIMMER, gaussian=True), {}, tmp_path)
     stage = ["defend", "--task", "swimmer", "--algo", "ppo", "--scale", "tiny", "--root", str(tmp_path)]
     main(stage)
     records = {path.stem for path in (tmp_path / "results").glob("*.json")}

@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from detden_lite import attacked, cards, paper, study
-from detden_lite.artifacts import load_model, load_victim
 from detden_lite.ascent import ascend
 from detden_lite.attacks import OppositeAttack
 from detden_lite.attacks.opposite import opposite_objective
@@ -23,6 +22,7 @@ from detden_lite.defense.gruvae import kl_divergence
 from detden_lite.draws import Draws
 from detden_lite.gradients import value_and_gradient
 from detden_lite.linear_search import elite_weights
+from detden_lite.models import load_model, load_victim
 from detden_lite.rollout import rollout
 from detden_lite.tasks import TASKS
 

@@ -15,7 +15,7 @@ import yaml
 from conftest import ROOT
 from rulegraph import rule_graph
 
-from detden_lite import artifacts, durations, evaluation
+from detden_lite import durations, evaluation, models
 from detden_lite.runs import MAIN, VARIANTS
 from detden_lite.scales import ALGORITHMS, SCALES, get_scale
 from detden_lite.tasks import TASKS
@@ -212,9 +212,9 @@ def test_a_run_makes_everything_of_its_row(killed):
     cells = evaluation.cells(["none", MAIN]) + evaluation.adaptive_cells()
     names = {cell.record_name("hopper", "ppo") for cell in cells}
     assert {path.stem for path in (folder / "results").glob("*.json")} == names
-    assert artifacts.load_victim("hopper", "ppo", folder).critics
-    artifacts.load_defense("hopper", "ppo", MAIN, folder)
-    assert all(artifacts.load_adversary("hopper", "ppo", kind, folder).obs_dim == 11 for kind in artifacts.ADVERSARIES)
+    assert models.load_victim("hopper", "ppo", folder).critics
+    models.load_defense("hopper", "ppo", MAIN, folder)
+    assert all(models.load_adversary("hopper", "ppo", kind, folder).obs_dim == 11 for kind in models.ADVERSARIES)
     with (folder / "tables" / "returns.csv").open(newline="") as file:
         assert {
             ".".join([line[key] for key in ("row", "attack", "timing", "defense")]) for line in csv.DictReader(file)
@@ -246,7 +246,7 @@ def test_a_finished_run_has_nothing_to_do_and_what_is_lost_is_made_anew(killed):
 def test_the_files_may_lie_on_a_volume_that_snakemake_does_not_see(tmp_path):
     volume, work = tmp_path / "volume", tmp_path / "work"
     run(work, "walker2d-ppo/victim.json", "--jobs", "2", "--config", f"root={volume}")
-    assert artifacts.load_victim("walker2d", "ppo", volume).obs_dim == 17
+    assert models.load_victim("walker2d", "ppo", volume).obs_dim == 17
     assert (work / "walker2d-ppo" / "victim.json").read_bytes() == b""
 
 

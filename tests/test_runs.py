@@ -1,6 +1,6 @@
 import torch
 
-from detden_lite import artifacts
+from detden_lite import artifacts, models
 from detden_lite.runs import Run
 from detden_lite.victims import Victim
 
@@ -13,7 +13,7 @@ def a_victim(seed: int) -> Victim:
 def test_with_another_victim_goes_what_was_made_of_the_last_and_nothing_else(tmp_path):
     run = Run.of(tmp_path, "hopper", "td3", "tiny")
     run.forget_others(a_victim(0))  # there was none before
-    artifacts.save_victim("hopper", "td3", a_victim(0), {}, tmp_path)
+    models.save_victim("hopper", "td3", a_victim(0), {}, tmp_path)
     made = [
         "hopper-td3/timing.json",
         "hopper-td3/normal-plain/00000.json",

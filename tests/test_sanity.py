@@ -5,10 +5,10 @@ import pytest
 import torch
 from builders import HOPPER
 
-from detden_lite.artifacts import load_victim
 from detden_lite.attacks import OppositeAttack, QFunctionAttack
 from detden_lite.attacks.qfunction import q_objective
 from detden_lite.budget import Budget
+from detden_lite.models import load_victim
 from detden_lite.sanity import Comparison, check
 from detden_lite.study import seeds
 

@@ -15,7 +15,7 @@ import torch
 from builders import HOPPER, normal
 from safetensors.torch import load_file, save_file
 
-from detden_lite import artifacts, evaluation, runs, stages
+from detden_lite import artifacts, evaluation, models, runs, stages
 from detden_lite.__main__ import main
 from detden_lite.budget import Budget
 from detden_lite.defense import Detector
@@ -75,8 +75,8 @@ def the_run(root: Path) -> stages.Run:
 @pytest.mark.parametrize("algo", ["td3", "ppo"])
 def test_the_recipe_makes_everything_that_the_library_loads(request, algo):
     tiny = request.getfixturevalue("tiny" if algo == "td3" else "tiny_ppo")
-    victim = artifacts.load_victim("hopper", algo, tiny)
-    defense = artifacts.load_defense("hopper", algo, MAIN, tiny)
+    victim = models.load_victim("hopper", algo, tiny)
+    defense = models.load_defense("hopper", algo, MAIN, tiny)
     assert victim.obs_dim == defense.detector.model.obs_dim == 11 and defense.denoiser.model.config["residual"]
     for cell in evaluation.cells(["none", MAIN]):
         record = artifacts.load_record(cell.record_name("hopper", algo), tiny)
@@ -88,7 +88,7 @@ def test_the_recipe_makes_everything_that_the_library_loads(request, algo):
 
 
 def test_a_ppo_victim_is_shipped_with_its_normaliser_and_the_q_function_that_it_learned(tiny_ppo):
-    victim, obs = artifacts.load_victim("hopper", "ppo", tiny_ppo), normal(5, 11)
+    victim, obs = models.load_victim("hopper", "ppo", tiny_ppo), normal(5, 11)
     assert victim.action_std is not None and (victim.obs_std != 1).all()
     assert victim.q(obs, victim(obs)).shape == (5,) and not torch.equal(victim.q(obs, victim(obs)), victim.value(obs))
     card = artifacts.read_json(tiny_ppo / "hopper-ppo" / "critic.json", tiny_ppo)
@@ -163,7 +163,7 @@ def attacked(request, tmp_path_factory) -> runs.Run:
     critic, value = [14, 16, 1], [11, 16, 1]
     torch.manual_seed(0)
     victim = Victim([11, 16, 3], critic, value, gaussian=True) if run.algo == "ppo" else Victim([11, 16, 3], critic)
-    artifacts.save_victim("hopper", run.algo, victim, {}, run.root)
+    models.save_victim("hopper", run.algo, victim, {}, run.root)
     stages.collect(run, "diverse")
     stages.augment(run, "diverse")
     return run
@@ -187,7 +187,7 @@ def test_every_variant_that_learns_from_both_attacks_is_trained(attacked):
     before, weights = contents(attacked.root), {}
     for name in ("residual", "both", "mixed", "regularized", "standard-prior"):
         stages.train_denoiser(attacked, name)
-        model, card = artifacts.load_model("hopper", attacked.algo, f"denoiser-{name}", attacked.root)
+        model, card = models.load_model("hopper", attacked.algo, f"denoiser-{name}", attacked.root)
         assert card["adversarial"] == (["adversarial"] if name == "residual" else ["adversarial", "qfunction"])
         assert card["recipe"].items() >= runs.VARIANTS[name].recipe.items() and model.config["residual"]
         assert (card["regularizer"] or {}).get("epsilon") == (HOPPER.epsilon if name == "regularized" else None)
@@ -200,7 +200,7 @@ def test_every_variant_that_learns_from_both_attacks_is_trained(attacked):
 
 
 def test_the_threshold_is_calibrated_on_held_out_episodes(tiny):
-    model, card = artifacts.load_model("hopper", "td3", "detector-diverse", tiny)
+    model, card = models.load_model("hopper", "td3", "detector-diverse", tiny)
     scores = clean_scores(Detector(model, np.inf), stages.load_trajectories(the_run(tiny), "calibration"))
     assert not card["conformal"]  # four episodes cannot promise one false alarm in twenty steps
     assert card["threshold"] == pytest.approx(calibrate(scores, card["false_alarms"]))
@@ -293,8 +293,8 @@ def test_a_kill_while_trajectories_are_collected_loses_no_whole_file(tiny, tmp_p
     monkeypatch.setattr(runs, "SHARD", 2)
     killed, uninterrupted = (runs.Run.of(tmp_path / name, "hopper", "td3", "tiny") for name in ("killed", "whole"))
     for run in (killed, uninterrupted):
-        victim = artifacts.load_victim("hopper", "td3", tiny)
-        artifacts.save_victim("hopper", "td3", victim, {}, run.root)
+        victim = models.load_victim("hopper", "td3", tiny)
+        models.save_victim("hopper", "td3", victim, {}, run.root)
     process = subprocess.Popen(
         [sys.executable, "-c", INTERRUPTED, str(killed.root)], stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL
     )
@@ -377,7 +377,7 @@ def test_the_command_line_publishes_models_and_records_but_no_trajectories(tiny,
     records = {f"results/{cell.record_name('hopper', 'td3')}.json" for cell in evaluation.cells(["none", MAIN])}
     expected = {f"{name}.{ending}" for name in models for ending in ("json", "safetensors")} | records
     assert published - {".manifest.lock"} == expected | {"hopper-td3/timing.json", "manifest.json"}
-    artifacts.load_defense("hopper", "td3", MAIN, tmp_path)
+    models.load_defense("hopper", "td3", MAIN, tmp_path)
 
 
 def test_an_error_is_one_line_and_no_traceback(tmp_path):

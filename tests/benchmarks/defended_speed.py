@@ -15,7 +15,7 @@ import gymnasium
 import numpy as np
 import torch
 
-from detden_lite import artifacts
+from detden_lite import models
 from detden_lite.attacks import OppositeAttack
 from detden_lite.attacks.opposite import opposite_objective
 from detden_lite.budget import Budget
@@ -32,7 +32,7 @@ STEPS = {"hopper": 100, "halfcheetah": 100, "ant": 50, "humanoid": 40}
 @cache
 def parts(name: str) -> tuple[Task, Victim, GRUVAE, DetectAndDenoise]:
     """Task, shipped victim, a GRU-VAE that changes nothing, and a defence that always alarms."""
-    task, victim = get_task(name), artifacts.load_victim(name, "td3")
+    task, victim = get_task(name), models.load_victim(name, "td3")
     model = GRUVAE(task.obs_dim, task.hidden, task.layers, task.latent, residual=True).requires_grad_(False)
     model.to_output.weight.zero_(), model.to_output.bias.zero_()
     return task, victim, model, DetectAndDenoise(Detector(model, -1.0), Denoiser(model))

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 import torch
 
-from detden_lite import artifacts
+from detden_lite import models
 from detden_lite import rollout as rollout_module
 from detden_lite.attacks import OppositeAttack
 from detden_lite.budget import Budget
@@ -25,8 +25,8 @@ from detden_lite.tasks import Task, get_task
 
 torch.set_num_threads(1)
 TASK, STEPS, N = get_task("hopper"), 200, 128
-VICTIM = artifacts.load_victim("hopper", "td3")
-DEFENSE = artifacts.load_defense("hopper", "td3")
+VICTIM = models.load_victim("hopper", "td3")
+DEFENSE = models.load_defense("hopper", "td3")
 ATTACK = OppositeAttack(VICTIM, Budget(TASK.epsilon), steps=20)
 ROUNDS = 3
 
@@ -111,7 +111,7 @@ def replay(task: Task, episodes: Episodes) -> float:
 
 def share_of_physics(name: str, steps: int) -> None:
     """Clean episodes with either simulator against MuJoCo alone."""
-    task, victim = get_task(name), artifacts.load_victim(name, "td3")
+    task, victim = get_task(name), models.load_victim(name, "td3")
     rounds = []
     for _ in range(ROUNDS):
         speeds = []
