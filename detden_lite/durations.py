@@ -78,6 +78,8 @@ def measure_trainings(victims=VICTIMS) -> dict:
 def show(root: Path, store: bool = False, trainings: bool = False, data: Path = artifacts.DATA) -> None:
     """Print the stored record as tables; before that, if asked to, measure and store what was found.
 
+    A stage of a row that the run has takes the place of what was stored of it; what it has not is kept.
+
     Args:
         root: of the run that is measured.
         store: whether to measure the run.
@@ -87,7 +89,7 @@ def show(root: Path, store: bool = False, trainings: bool = False, data: Path = 
     path = data / RECORD
     if store or trainings:
         record = artifacts.read_json(path, data) if path.exists() else {}
-        record |= measure(root) if store else {}
+        record |= _merged(measure(root), record.get("rows", {})) if store else {}
         record |= dict(trainings=measure_trainings()) if trainings else {}
         artifacts.write_json(path, record, data)
     record = artifacts.read_json(path, data)
@@ -124,6 +126,11 @@ def clock(seconds: float | None) -> str:
     if seconds < 60:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 3_600 else f"{seconds / 3_600:.1f} h"
+
+
+def _merged(record: dict, stored: dict) -> dict:
+    rows = {row: stored.get(row, {}) | record["rows"].get(row, {}) for row in sorted({*stored, *record["rows"]})}
+    return record | dict(rows=rows)
 
 
 def _number(text: str) -> float:

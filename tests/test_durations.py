@@ -60,6 +60,18 @@ def test_what_was_measured_is_stored_and_printed(run, tmp_path):
     assert command_line(tmp_path / "data").stdout == stored.stdout
 
 
+def test_what_another_run_measured_is_kept_until_it_is_measured_again(run, tmp_path):
+    durations.show(run, store=True, data=tmp_path / "data")
+    before = durations.measure(run)["rows"]
+    other = tmp_path / "other"
+    benchmark(other, "select/hopper-td3", "30", "700", "20")
+    benchmark(other, "detector/walker2d-ppo", "30", "700", "20")
+    durations.show(other, store=True, data=tmp_path / "data")
+    rows = artifacts.read_json(tmp_path / "data" / durations.RECORD, tmp_path / "data")["rows"]
+    assert rows["ant-ppo"] == before["ant-ppo"] and rows["hopper-td3"]["victim"] == before["hopper-td3"]["victim"]
+    assert rows["hopper-td3"]["select"]["cpu_seconds"] == 20 and "detector" in rows["walker2d-ppo"]
+
+
 def test_where_nothing_was_measured_or_stored_it_says_so(run, tmp_path):
     with pytest.raises(ArtifactError, match="durations.json is missing"):
         durations.show(run, data=tmp_path)
