@@ -32,6 +32,7 @@ CEILINGS = {
     "oracle-detector": "a detector that knows the truth",
     "oracle-denoiser": "a denoiser that knows the truth",
 }
+EXPLAINING = ("always", "projected", *CEILINGS)  # what tells which part of a defence falls short
 ASSEMBLED = ABLATIONS | BASELINES | CEILINGS
 
 

@@ -17,7 +17,7 @@ from detden_lite.victim_training import train_victim
 STAGES = (
     "victim", "select", "qfunction", "trajectories", "augmentation", "detector", "denoiser", "baselines", "threshold",
     "timing", "adversary", "choose", "adversary_defended", "choose_defended", "linear", "attacks", "evaluation",
-    "ablation", "adaptive", "look", "portrait", "epsilon", "planning", "barrier", "curve", "gallery",
+    "ablation", "ceilings", "adaptive", "look", "portrait", "epsilon", "planning", "barrier", "curve", "gallery",
     "slip", "defend",
 )  # fmt: skip
 RECORD = "durations.json"  # in data/

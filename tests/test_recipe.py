@@ -15,7 +15,7 @@ import yaml
 from conftest import ROOT
 from rulegraph import rule_graph
 
-from detden_lite import durations, evaluation, models
+from detden_lite import ablations, durations, evaluation, models
 from detden_lite.runs import MAIN, VARIANTS
 from detden_lite.scales import ALGORITHMS, SCALES, get_scale
 from detden_lite.tasks import TASKS
@@ -26,7 +26,7 @@ JOBS = dict(
     victim=13, select=11, qfunction=5, trajectories=11, augmentation=11, detector=11, timing=10,
     choose=10, linear=10, attacks=10, evaluation=10, table=1, look=10, portrait=10,
     epsilon=1, planning=1, gallery=1, defend=1, baselines=1, threshold=1, ablation=1, all=1,
-    choose_defended=4, adaptive=4, barrier=1, curve=1, slip=1,
+    choose_defended=4, adaptive=4, ceilings=2, barrier=1, curve=1, slip=1,
 )  # fmt: skip
 
 
@@ -77,7 +77,7 @@ def planned(printed: str) -> dict[str, int]:
 def test_every_scale_plans_the_whole_graph_for_all_ten_rows(tmp_path, scale):
     config = yaml.safe_load((DATA / "config" / f"{scale}.yaml").read_text())
     assert config["scale"] == scale and config["rows"] == ROWS and config["own"] == ["swimmer-ppo"]
-    assert set(config["adapted"]) <= set(ROWS)
+    assert {*config["adapted"], *config["explained"]} <= set(ROWS)
     printed = run(tmp_path, "--dry-run", "--printshellcmds", scale=scale)
     members = [len(get_scale(scale, TASKS[row.split("-")[0]], row.split("-")[1]).adversaries) for row in ROWS]
     assert planned(printed) == jobs(scale) and sum(members) == jobs(scale)["adversary"]
@@ -209,7 +209,7 @@ def test_a_killed_run_goes_on_and_makes_nothing_twice(killed):
 
 def test_a_run_makes_everything_of_its_row(killed):
     folder, _ = killed
-    cells = evaluation.cells(["none", MAIN]) + evaluation.adaptive_cells()
+    cells = evaluation.cells(["none", MAIN, *ablations.EXPLAINING]) + evaluation.adaptive_cells()
     names = {cell.record_name("hopper", "ppo") for cell in cells}
     assert {path.stem for path in (folder / "results").glob("*.json")} == names
     assert models.load_victim("hopper", "ppo", folder).critics
@@ -239,7 +239,7 @@ def test_a_finished_run_has_nothing_to_do_and_what_is_lost_is_made_anew(killed):
     only = ("--dry-run", "--config", "only=hopper-ppo", "films=false")
     assert "Nothing to be done" in run(folder, *only)
     (folder / "hopper-ppo" / f"denoiser-{MAIN}.json").unlink()
-    again = {"denoiser", "adversary_defended", "choose_defended", "evaluation", "adaptive", "table", "all"}
+    again = {"denoiser", "adversary_defended", "choose_defended", "evaluation", "ceilings", "adaptive", "table", "all"}
     assert set(planned(run(folder, *only))) == again
 
 
