@@ -17,6 +17,8 @@ from detden_lite.files import ArtifactError, replace_files
 
 DATA = Path(os.environ.get("DETDEN_DATA", Path(__file__).resolve().parents[1] / "data"))
 
+_REMEDY = "make it anew as it was made, or restore it (what is in data/ with git; data/README.md has its recipe)"
+
 
 def write_bytes(path: Path, content: bytes, root: Path = DATA) -> None:
     """Write a file of data/ atomically and note its SHA-256 in the manifest of ``root``.
@@ -47,13 +49,13 @@ def read_bytes(path: Path, root: Path = DATA) -> bytes:
     """
     path = Path(path)
     if not path.exists():
-        raise ArtifactError(f"{path} is missing; restore it with git, or make it with its recipe (see data/README.md)")
+        raise ArtifactError(f"{path} is missing; {_REMEDY}")
     content = path.read_bytes()
     expected = promised(path, root)
     if expected is None:
         raise ArtifactError(f"{path} is not in {root / 'manifest.json'}; it was not made by a recipe of this project")
     if hashlib.sha256(content).hexdigest() != expected:
-        raise ArtifactError(f"{path} is truncated or altered (its SHA-256 is not the manifest's); restore it with git")
+        raise ArtifactError(f"{path} is truncated or altered (its SHA-256 is not the manifest's); {_REMEDY}")
     return content
 
 
@@ -93,7 +95,7 @@ def load_tensors(path: Path, root: Path = DATA) -> tuple[dict[str, Tensor], dict
     try:
         state = load(read_bytes(path, root))
     except SafetensorError as error:
-        raise ArtifactError(f"{path} is not in the safetensors format ({error}); restore it with git") from None
+        raise ArtifactError(f"{path} is not in the safetensors format ({error}); {_REMEDY}") from None
     return state, read_json(path.with_suffix(".json"), root)
 
 
@@ -128,7 +130,7 @@ def _manifest(root: Path) -> dict[str, str]:
     try:
         return json.loads(path.read_text()) if path.exists() else {}
     except json.JSONDecodeError as error:
-        raise ArtifactError(f"{path} is truncated or altered ({error}); restore it with git") from None
+        raise ArtifactError(f"{path} is truncated or altered ({error}); {_REMEDY}") from None
 
 
 def _bytes(state: Mapping[str, Tensor]) -> bytes:

@@ -36,7 +36,7 @@ class Defended:
 
     @property
     def defense(self) -> DetectAndDenoise:
-        """A defence of its own for every caller: for ``rollout``, or to put together another way."""
+        """A copy, for ``rollout``. To change a part, build another ``Defended`` of it: this one does not notice."""
         return copy.deepcopy(self._defense)
 
     def reset(self) -> None:

@@ -20,6 +20,7 @@ from detden_lite.sweeps import over_sizes
 from detden_lite.tasks import TASKS, Task
 from detden_lite.victims import Victim
 
+HARMLESS = ("TimeLimit", "OrderEnforcing", "PassiveEnvChecker")  # gymnasium's own, which change no observation
 SIZES = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0)  # of the ball, in units of the one that was defended against
 
 
@@ -36,24 +37,24 @@ def defend(
 
     D_normal is collected with exploration, and attacked offline by the opposite attack, and by the Q-function attack if
     the victim has a critic; the detector and the ``runs.MAIN`` denoiser are trained on it; the threshold is the
-    conformal one, or the 95 % quantile if there are too few held-out episodes to promise anything. All goes into
-    ``folder/<task>-<algorithm>``, laid out as data/ is. A call that was killed goes on when it is made again, and one
-    that was not loads what is there; a file that was altered since is made anew.
+    conformal one for false alarms at 5 % of clean steps, or the plain 95 % quantile if there are too few held-out
+    episodes to promise anything. All goes into ``folder/<task>-<algorithm>``, laid out as data/ is. Called again after
+    a kill it resumes, called again after it finished it loads the result; a file that was altered since is made anew.
 
     Args:
         victim: a stable-baselines3 (or sbx-rl) TD3 or PPO model, or a ``Victim``.
         env: where it acts: the id of a gymnasium MuJoCo task, or an environment made of nothing but its id.
-        budget: what the attacker may do, in raw units of the observations.
+        budget: what the attacker may do, in raw units of the observations unless it has a ``scale``.
         scale: "tiny" for a try (seconds), "lite" for what the book ships (tens of minutes), "paper" for the paper's
             sizes, or sizes of your own: see ``detden_lite.scales.defense_scale``.
-        folder: where everything is kept, of one policy for each task and algorithm.
+        folder: where everything is kept; it holds one policy for each task and algorithm.
         vecnormalize: the ``VecNormalize`` that a model was trained in, if any.
         seed: of the trainings.
 
     Raises:
         ValueError: if the policy or the task is of a kind that cannot be defended, they do not fit each other, or the
-            folder holds the defence of another victim or one of other settings.
-        ArtifactError: if the disk is full.
+            folder holds the defence of another victim or one of other, or of unknown, settings.
+        ArtifactError: if the disk is full, or the folder's manifest.json is damaged.
     """
     if not isinstance(budget, Budget):
         raise ValueError(f"budget: give a detden_lite.budget.Budget, such as Budget(0.1), not {budget!r}")
@@ -84,7 +85,7 @@ def task_of(env: str | gymnasium.Env, budget: Budget) -> Task:
 
     Raises:
         ValueError: if it is none of gymnasium's MuJoCo tasks with vectors as observations and a Box of actions, or was
-            made with arguments or wrappers: another one is made from its id, which would be different.
+            made with arguments or wrappers: the episodes are played in worlds made from the id alone.
     """
     try:
         spec = gymnasium.spec(env) if isinstance(env, str) else getattr(env, "spec", None)
@@ -97,15 +98,24 @@ def task_of(env: str | gymnasium.Env, budget: Budget) -> Task:
     changes += [name for name in spec.kwargs if registered.kwargs.get(name) != spec.kwargs[name]]
     if changes:
         raise ValueError(
-            f"env: it is {spec.id} with {', '.join(changes)}, which its id does not tell; register what it is under an "
-            f"id of its own, or give {spec.id!r} if they change neither observations nor actions"
+            f"env: it is {spec.id} with {', '.join(changes)}, which its id does not tell; register arguments under an "
+            f"id of their own, move what a wrapper does into a subclass of MujocoEnv and register that, or give "
+            f"{spec.id!r} if they change neither observations nor actions"
         )
     world = make(spec.id)
+    if wrappers := [name for name in _wrappers(world) if name not in HARMLESS]:
+        raise ValueError(
+            f"env: what is registered as {spec.id} is wrapped in {', '.join(wrappers)}, and the episodes are played "
+            f"without; move what that does into a subclass of MujocoEnv, and register that"
+        )
     for what, space in (("observations", world.observation_space), ("actions", world.action_space)):
         if not isinstance(space, gymnasium.spaces.Box) or len(space.shape) != 1:
             raise ValueError(f"env: the {what} of {spec.id} must be vectors (a Box of one axis), not {space}")
     if not isinstance(world.unwrapped, MujocoEnv):
-        raise ValueError(f"env: {spec.id} is no MuJoCo task of gymnasium, and no other can be simulated in lockstep")
+        raise ValueError(
+            f"env: {spec.id} is not derived from gymnasium's MujocoEnv, and nothing else is simulated in lockstep; "
+            f"from recorded episodes a defence can be made of its parts: see the book's page Bring your own policy"
+        )
     obs_dim, action_dim = world.observation_space.shape[0], world.action_space.shape[0]
     if torch.as_tensor(budget.scale).numel() not in (1, obs_dim):
         raise ValueError(f"budget: its scale must be one number or {obs_dim}, one for each observation of {spec.id}")
@@ -113,6 +123,14 @@ def task_of(env: str | gymnasium.Env, budget: Budget) -> Task:
     paper = {task.env_id: task for task in TASKS.values()}  # which has larger networks for its larger tasks
     task = paper.get(spec.id, Task(name, spec.id, 0.0, obs_dim, action_dim))
     return replace(task, epsilon=budget.epsilon, horizon=spec.max_episode_steps or task.horizon)
+
+
+def _wrappers(world: gymnasium.Env) -> list[str]:
+    names = []
+    while isinstance(world, gymnasium.Wrapper):
+        names.append(type(world).__name__)
+        world = world.env
+    return names
 
 
 def _check_fit(victim: Victim, task: Task) -> None:
@@ -140,11 +158,17 @@ def _claim(run: Run, victim: Victim, seed: int) -> None:
     )  # fmt: skip
     settings["sizes"]["defense"] = asdict(run.scale.defense)
     known = artifacts.read_json(path, run.root) if artifacts.is_made(path, run.root) else {}
+    unknown = not known
     if artifacts.is_made(kept, run.root):
         known["victim"] = artifacts.digest(run.victim().state_dict())
     if other := [name for name in known if settings.get(name) != known[name]]:
         raise ValueError(
             f"folder: {run.folder} holds the defence of another {', '.join(other)}; give another folder, or remove it"
+        )
+    if unknown and (any(run.folder.glob("normal-*")) or any(run.folder.glob("de[tn]*.safetensors"))):
+        raise ValueError(
+            f"folder: {run.folder} holds a defence, and no {path.name} that says of which settings; restore that file, "
+            f"or give another folder"
         )
     if not artifacts.is_made(kept, run.root):
         models.save_victim(run.task.name, run.algo, victim, dict(env_id=run.task.env_id), run.root)

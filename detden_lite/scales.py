@@ -12,7 +12,7 @@ from detden_lite.victim_recipes import AdversaryRecipe, PPORecipe, TD3Recipe
 ALGORITHMS = ("td3", "ppo")
 SCALES = ("tiny", "lite", "paper")
 
-# What the shipped victims are trained with; the paper says nothing of its victims' training. The last is not its own.
+# What the shipped victims are trained with; the paper says nothing of its victims' training. It has no Swimmer.
 _PPO = PPORecipe(envs=32, rollout=64, batch=128)
 VICTIMS = {
     ("hopper", "td3"): TD3Recipe(steps=500_000),
@@ -75,12 +75,19 @@ TINY_ADVERSARIES = tuple(
 
 @dataclass(frozen=True)
 class DefenseScale:
-    """Sizes of the making of a defence, whoever the victim is."""
+    """Sizes of the making of a defence, whoever the victim is.
+
+    Args:
+        defense: of both networks and their trainings.
+        trajectories: episodes of D_normal; half as many more are held out for the threshold.
+        horizon: the longest episode, in steps of the environment.
+        attack_steps: gradient steps of the offline attacks.
+    """
 
     defense: VAERecipe
     trajectories: int
-    horizon: int  # the longest episode
-    attack_steps: int  # PGD steps
+    horizon: int
+    attack_steps: int
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,8 @@ def linear_victim(dim: int = 6) -> tuple[Victim, Tensor]:
 
 def warm_defense(obs_dim: int = 11, n: int = 4, steps: int = 3, **parts) -> DetectAndDenoise:
     """A real defence that has seen some steps of n episodes."""
-    defense = DetectAndDenoise(**(vars(make_defense(obs_dim)) | parts))
+    whole = make_defense(obs_dim)
+    defense = DetectAndDenoise(**(dict(detector=whole.detector, denoiser=whole.denoiser) | parts))
     defense.reset(range(n))
     for obs in normal(steps, n, obs_dim, seed=5):
         defense(obs)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from builders import make_victim, normal
+from gymnasium.envs.mujoco.inverted_pendulum_v5 import InvertedPendulumEnv
 from stable_baselines3 import PPO, TD3
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.monitor import Monitor
@@ -158,6 +159,27 @@ def test_a_folder_of_another_victim_or_other_settings_is_refused_and_left_alone(
     assert contents(folder) == before
 
 
+def test_a_defence_whose_settings_are_not_told_is_refused_and_left_alone(defended, ppo, tmp_path):
+    copy = shutil.copytree(defended[1], tmp_path / "copy")
+    (copy / "invertedpendulum-ppo" / "defend.json").unlink()
+    before = contents(copy)
+    with pytest.raises(ValueError, match=r"holds a defence, and no defend.json that says of which settings; restore"):
+        again(copy, ppo, budget=Budget(0.5))
+    assert contents(copy) == before
+
+
+def test_what_an_id_hides_in_a_wrapper_is_refused():
+    """The episodes are played without it, so that the defence would be made for other observations."""
+
+    def scaled(**kwargs):
+        world = InvertedPendulumEnv(**kwargs)
+        return gymnasium.wrappers.TransformObservation(world, lambda obs: 100 * obs, world.observation_space)
+
+    gymnasium.register("ScaledPendulum-v0", entry_point=scaled)
+    with pytest.raises(ValueError, match="is wrapped in TransformObservation, and the .*; move"):
+        task_of("ScaledPendulum-v0", BUDGET)
+
+
 class Odd(gymnasium.Env):
     """In no registry."""
 
@@ -171,7 +193,10 @@ class Odd(gymnasium.Env):
         (dict(env="Nowhere-v5"), "env: .*Nowhere"),
         (dict(env=Odd()), "env: it has no spec"),
         (dict(env="CartPole-v1"), "env: the actions of CartPole-v1 must be vectors"),
-        (dict(env="Pendulum-v1"), "env: Pendulum-v1 is no MuJoCo task"),
+        (
+            dict(env="Pendulum-v1"),
+            "env: Pendulum-v1 is not derived .*; from recorded episodes",
+        ),
         (dict(env="Swimmer-v5"), "victim: it maps 4 observations to 1 actions, but Swimmer-v5 has 8 and 2"),
         (dict(env=gymnasium.make("InvertedPendulum-v5", reset_noise_scale=0.2)), "with reset_noise_scale, which"),
         (dict(env=Monitor(gymnasium.make("InvertedPendulum-v5"))), "with Monitor, which its id does not tell"),

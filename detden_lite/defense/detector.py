@@ -12,7 +12,10 @@ from detden_lite.draws import Draws
 
 
 def linf_score(obs: Tensor, reconstruction: Tensor, scale: Tensor) -> Tensor:
-    """The l-infinity distance of observation and reconstruction in units of ``scale``, over the last dimension."""
+    """The l-infinity distance of observation and reconstruction in units of ``scale``, over the last dimension.
+
+    With D_normal's standard deviations as ``scale`` it is the error of the worst observation, in its deviations.
+    """
     return ((obs - reconstruction) / scale).abs().amax(-1)
 
 
@@ -21,7 +24,8 @@ class Detector:
 
     Args:
         model: trained on normal observations.
-        threshold: C_anomaly; an alarm is a score above it.
+        threshold: C_anomaly; an alarm is a score above it. Both are in standard deviations of D_normal: the largest
+            error over the observations.
         seed: of the latent samples.
         sample: whether to sample the latent, as the paper does, or to take its mean.
     """
@@ -50,7 +54,13 @@ class Detector:
 
 
 def clean_scores(detector: Detector, trajectories: Trajectories, batch: int = 128) -> np.ndarray:
-    """The scores that a detector gives to every observation of these trajectories, one after the other, ``[n]``."""
+    """The scores that a detector gives to every observation of these trajectories, one after the other, ``[n]``.
+
+    Args:
+        detector: is reset: the episodes that it remembers are gone.
+        trajectories: clean ones, for a threshold.
+        batch: episodes at once.
+    """
     scores = []
     for start in range(0, len(trajectories), batch):
         part = trajectories.select(slice(start, start + batch))
@@ -68,6 +78,9 @@ def calibrate(clean_scores: np.ndarray, false_alarm_rate: float = 0.01) -> float
     Args:
         clean_scores: scores of held-out normal observations, any shape, without padding.
         false_alarm_rate: between 0 and 1.
+
+    Raises:
+        ValueError: for another rate, or if there is no score or one that is not finite.
     """
     _check_rate(false_alarm_rate)
     if clean_scores.size == 0 or not np.isfinite(clean_scores).all():
@@ -91,6 +104,9 @@ def conformal_threshold(episodes: Sequence[np.ndarray], false_alarm_rate: float 
 
     Returns:
         The threshold; infinite if there are too few episodes to promise that, fewer than 1 / rate - 1.
+
+    Raises:
+        ValueError: for another rate, or if there is no episode, one without a score, or a score that is not finite.
     """
     _check_rate(false_alarm_rate)
     if not len(episodes) or not all(len(scores) and np.isfinite(scores).all() for scores in episodes):
@@ -115,6 +131,9 @@ def tuned_threshold(scores: np.ndarray, attacked: np.ndarray, misses: float = 0.
 
     Returns:
         The threshold, half-way between two scores; minus infinity if every step must raise the alarm.
+
+    Raises:
+        ValueError: if the shapes differ, a score is not finite, no step is clean or none attacked, or for other misses.
     """
     scores, attacked = np.asarray(scores).ravel(), np.asarray(attacked, dtype=bool).ravel()
     if scores.shape != attacked.shape or not np.isfinite(scores).all():

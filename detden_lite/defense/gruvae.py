@@ -31,7 +31,8 @@ class GRUVAE(nn.Module):
         layers: layers of both GRUs (table 5).
         latent: size of z (table 5, "embedding size").
         residual: False, as the paper has it: the output is the decoder's. True: the output is the input plus the
-            decoder's, which then only has to learn the correction. A bool for each observation: some are added.
+            decoder's, which then only has to learn the correction. Or ``[obs_dim]`` bools: the input is added where
+            True.
     """
 
     def __init__(

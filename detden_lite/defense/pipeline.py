@@ -13,10 +13,10 @@ from detden_lite.budget import Budget
 class Verdict:
     """What the defence says of one observation of N episodes."""
 
-    obs: Tensor  # what the policy is to see, [N, obs_dim]
+    obs: Tensor  # what the policy is to see, [N, obs_dim], in raw units
     alarm: Tensor  # [N] bool
-    score: Tensor  # the detector's, [N]
-    denoised: Tensor  # what the denoiser would show, [N, obs_dim]
+    score: Tensor  # the detector's, [N]; a GRU-VAE's is the largest error of an observation in its standard deviations
+    denoised: Tensor  # what the denoiser would show, [N, obs_dim], in raw units
 
 
 class DetectAndDenoise:
@@ -36,6 +36,7 @@ class DetectAndDenoise:
 
     def __init__(self, detector, denoiser=None, always: bool = False, budget: Budget | None = None):
         self.detector, self.denoiser, self.always, self.budget = detector, denoiser, always, budget
+        self._rows: int | None = None  # episodes under way
 
     @property
     def parts(self) -> list:
@@ -61,6 +62,7 @@ class DetectAndDenoise:
 
     def reset(self, episodes: Sequence[int]) -> None:
         """Begin new episodes, one seed each."""
+        self._rows = len(episodes)
         for part in self.parts:
             part.reset(episodes)
 
@@ -76,11 +78,16 @@ class DetectAndDenoise:
                 part.reveal(true, attacked)
 
     def __call__(self, obs: Tensor) -> Verdict:
-        """Judge one observation of each episode, ``[N, obs_dim]``.
+        """Judge one observation of each episode, ``[N, obs_dim]`` float32, in raw units.
 
         Raises:
-            ValueError: if an observation is not finite: it would poison the networks' memory for the whole episode.
+            ValueError: if no episodes were begun, or not as many as there are rows, or an observation is not finite: it
+                would poison the networks' memory for the whole episode.
         """
+        if self._rows is None:
+            raise ValueError("no episode is under way; call reset(episodes) first, with one seed for each row of obs")
+        if len(obs) != self._rows:
+            raise ValueError(f"obs has {len(obs)} rows, but {self._rows} episodes are under way; call reset(episodes)")
         if not torch.isfinite(obs).all():
             raise ValueError("obs holds NaN or infinity; check the sensor before the defence")
         score, alarm, reconstruction = self.detector.step(obs)

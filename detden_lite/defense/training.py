@@ -20,16 +20,29 @@ from detden_lite.files import replace_file
 
 @dataclass(frozen=True)
 class VAERecipe:
-    """How a GRU-VAE is trained. ``beta`` weighs the KL term: it is the variance of p(o | z, h) in z-scored units.
+    """How a GRU-VAE is trained.
 
-    What is minimised is beta (-L_den) + ``lam`` R, with R of ``detden_lite.defense.regularizer``; 0 leaves R out. The
-    learning rate falls along half a cosine to zero at the last epoch; the paper says nothing of a schedule.
+    What is minimised is beta (-L_den) + lam R, with R of ``detden_lite.defense.regularizer``. The learning rate falls
+    along half a cosine to zero at the last epoch; the paper says nothing of a schedule.
 
-    ``least_share`` and ``least_size`` below 1 make attacked inputs intermittent and smaller, anew at every epoch: see
-    ``detden_lite.defense.augmentation.intermittent``.
+    Args:
+        hidden: see ``GRUVAE``, as for the next three.
+        layers: of both GRUs.
+        latent: size of z.
+        residual: whether the output is the input plus the decoder's.
+        prior: "free" or "standard": see ``kl_divergence``.
+        beta: weight of the KL term: the variance of p(o | z, h) in z-scored units.
+        epochs: times that every sequence is seen; at least 1.
+        batch: sequences of a step; at least 1.
+        chunk: time steps of truncated backpropagation, at least 1; the memory runs on from chunk to chunk.
+        learning_rate: of Adam, at the beginning.
+        lam: weight of the regularizer; 0 leaves it out.
+        least_share: the smallest share of an episode's steps that is attacked, 1 for all of them, drawn anew for each
+            sequence and epoch: see ``detden_lite.defense.augmentation.intermittent``.
+        least_size: the smallest perturbation, in parts of the attack's own.
 
     Raises:
-        ValueError: if ``lam`` is negative: R would be made large.
+        ValueError: for another prior, or a number out of these ranges.
     """
 
     hidden: int = 64
@@ -40,15 +53,23 @@ class VAERecipe:
     beta: float = 1e-3
     epochs: int = 50
     batch: int = 128
-    chunk: int = 25  # steps of truncated backpropagation; the memory runs on from chunk to chunk
+    chunk: int = 25
     learning_rate: float = 1e-3
     lam: float = 0.0
     least_share: float = 1.0
     least_size: float = 1.0
 
     def __post_init__(self):
+        for name in ("epochs", "batch", "chunk"):
+            if not getattr(self, name) >= 1:
+                raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}")
+        for name in ("least_share", "least_size"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name} must be between 0 and 1, not {getattr(self, name)}")
+        if self.prior not in ("free", "standard"):
+            raise ValueError(f'prior must be "free" or "standard", not {self.prior!r}')
         if not self.lam >= 0:
-            raise ValueError(f"lam must be at least 0, not {self.lam}")
+            raise ValueError(f"lam must be at least 0, not {self.lam}: R would be made large")
 
 
 def train_gruvae(
@@ -62,7 +83,8 @@ def train_gruvae(
 ) -> GRUVAE:
     """Maximise the ELBO of L_det or L_den (section 3.1) over all pairs of (input, target) trajectories.
 
-    Every epoch is seeded by (seed, epoch), so that a run resumed from its checkpoint equals one that never stopped.
+    Every epoch seeds torch's global generator by (seed, epoch), so that a run resumed from its checkpoint equals one
+    that never stopped.
 
     Observations are measured in their standard deviations. Where an attack moves one by more than ten of these, its own
     value tells nothing: it is measured in the largest move instead, and a residual output leaves it out.
@@ -72,7 +94,8 @@ def train_gruvae(
         pairs: ``[(normal, normal)]`` for a detector; for a denoiser an ``(adversarial, normal)`` of each attack too.
         seed: of initialisation, order and latent samples.
         checkpoint: file to write after every epoch and to resume from; None for neither.
-        after_epoch: called with (epoch, model); for the epoch that a run resumes from once more.
+        after_epoch: called with (epoch, model) after each epoch; a resumed run first calls it again for the last
+            finished one.
         label: text of the progress bar.
         regularizer: R, for a recipe with ``lam`` above 0.
 
