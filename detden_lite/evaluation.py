@@ -11,8 +11,9 @@ from detden_lite.runs import MAIN, VARIANTS, Run
 def cells(defenses=("none", MAIN)) -> list[study.Cell]:
     """The cells of the tables, one defence after the other; "none" is the bare victim.
 
-    The main defence meets all four attacks, other trained ones those that need no planner, and assembled ones the
-    opposite attack, which the denoiser has seen, and the optimal one, which it has not.
+    The main defence meets all four attacks, the linear adversary and noise; other trained ones those of the four that
+    need no planner; and assembled ones the opposite attack, which the denoiser has seen, and the optimal one, which it
+    has not.
     """
     both = ("always", "vulnerable")
     found = []
@@ -25,6 +26,7 @@ def cells(defenses=("none", MAIN)) -> list[study.Cell]:
         elif name in VARIANTS:
             attacks = study.FOUR if name == MAIN else ("opposite", "qfunction", "optimal")
             found += [study.Cell(attack, timing, name) for attack in attacks for timing in both]
+            found += [study.Cell(attack, "always", name) for attack in ("linear", "uniform") if name == MAIN]
         else:
             found += [study.Cell(attack, "always", name) for attack in ("opposite", "optimal")]
     return found

@@ -20,7 +20,7 @@ class Share:
     high: float
 
     def __str__(self) -> str:
-        return f"{self.mean:.0%} [{self.low:.0%}, {self.high:.0%}]"
+        return f"{self.mean:z.0%} [{self.low:z.0%}, {self.high:z.0%}]"
 
 
 def load(task: str, algo: str, defense: str = MAIN, root: Path = artifacts.DATA) -> dict[tuple[str, str], dict]:
