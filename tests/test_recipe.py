@@ -26,7 +26,7 @@ JOBS = dict(
     victim=13, select=11, qfunction=5, trajectories=11, augmentation=11, detector=11, timing=10,
     choose=10, linear=10, attacks=10, evaluation=10, table=1, look=10, portrait=10,
     epsilon=1, planning=1, gallery=1, defend=1, baselines=1, threshold=1, ablation=1, all=1,
-    choose_defended=4, adaptive=4, ceilings=3, barrier=1, curve=1, slip=1,
+    choose_defended=4, adaptive=4, ceilings=4, barrier=1, curve=1, slip=1,
 )  # fmt: skip
 
 
@@ -122,7 +122,7 @@ def test_a_row_may_be_asked_for_alone_and_without_films(tmp_path):
         victim=4, select=2, qfunction=1, trajectories=3, augmentation=3, detector=3, denoiser=9, timing=2,
         adversary=4, choose=2, linear=2, attacks=2, evaluation=2, table=1, epsilon=1,
         planning=1, baselines=1, threshold=1, ablation=1, adversary_defended=2, choose_defended=1, adaptive=1,
-        barrier=1, curve=1, all=1,
+        barrier=1, curve=1, ceilings=1, all=1,
     )  # fmt: skip
     own = planned(run(tmp_path, "--dry-run", "--config", "only=swimmer-ppo"))
     assert own == dict(victim=1, select=1, defend=1, all=1)
