@@ -26,7 +26,7 @@ JOBS = dict(
     victim=13, select=11, qfunction=5, trajectories=11, augmentation=11, detector=11, timing=10,
     choose=10, linear=10, attacks=10, evaluation=10, table=1, look=10, portrait=10,
     epsilon=1, planning=1, gallery=1, defend=1, baselines=1, threshold=1, ablation=1, all=1,
-    choose_defended=4, adaptive=4, ceilings=5, barrier=1, curve=1, slip=1,
+    choose_defended=4, adaptive=4, ceilings=6, barrier=1, curve=1, slip=1,
 )  # fmt: skip
 
 
