@@ -373,9 +373,9 @@ def command_line(*arguments: str, data: Path | None = None) -> subprocess.Comple
 def test_the_command_line_publishes_models_and_records_but_no_trajectories(tiny, tmp_path):
     assert command_line("publish", "--scale", "tiny", "--root", str(tiny), data=tmp_path).returncode == 0
     published = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()}
-    models = {f"hopper-td3/{name}" for name in ("victim", "detector-diverse", f"denoiser-{MAIN}", *ADVERSARIES)}
+    shipped = {f"hopper-td3/{name}" for name in ("victim", "detector-diverse", f"denoiser-{MAIN}", *ADVERSARIES)}
     records = {f"results/{cell.record_name('hopper', 'td3')}.json" for cell in evaluation.cells(["none", MAIN])}
-    expected = {f"{name}.{ending}" for name in models for ending in ("json", "safetensors")} | records
+    expected = {f"{name}.{ending}" for name in shipped for ending in ("json", "safetensors")} | records
     assert published - {".manifest.lock"} == expected | {"hopper-td3/timing.json", "manifest.json"}
     models.load_defense("hopper", "td3", MAIN, tmp_path)
 
