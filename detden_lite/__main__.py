@@ -83,6 +83,7 @@ def parser() -> argparse.ArgumentParser:
         help="default: all of them",
     )  # fmt: skip
     add("ablate", evaluation.ablate, "run the cells of ablations, baselines and ceilings")
+    add("explain", evaluation.explain, "run the cells that tell which part of the main defence falls short")
     add("defend", own.defend_victim, "defend the victim in one call, and evaluate it with the defence and without")
     add("adapt", evaluation.adapt, "run the cells of the attacks that know the defence").add_argument(
         "--defenses", nargs="+", choices=VARIANTS, default=[MAIN], help="default: %(default)s"

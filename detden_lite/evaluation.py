@@ -96,3 +96,8 @@ def run_cells(run: Run, wanted: Iterable[study.Cell], threat: study.Threat) -> N
 def ablate(run: Run) -> None:
     """The cells of the defences that are assembled around the main one."""
     evaluate(run, tuple(ablations.ASSEMBLED))
+
+
+def explain(run: Run) -> None:
+    """Of those, the cells that tell which part of the main defence falls short."""
+    evaluate(run, ablations.EXPLAINING)

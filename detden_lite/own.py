@@ -8,6 +8,7 @@ import gymnasium
 import numpy as np
 import torch
 from gymnasium.envs.mujoco import MujocoEnv
+from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 
 from detden_lite import artifacts, evaluation, models, stages
 from detden_lite.budget import Budget
@@ -20,7 +21,7 @@ from detden_lite.sweeps import over_sizes
 from detden_lite.tasks import TASKS, Task
 from detden_lite.victims import Victim
 
-HARMLESS = ("TimeLimit", "OrderEnforcing", "PassiveEnvChecker")  # gymnasium's own, which change no observation
+HARMLESS = (PassiveEnvChecker, OrderEnforcing, TimeLimit)  # gymnasium's own, which change no observation
 SIZES = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0)  # of the ball, in units of the one that was defended against
 
 
@@ -103,9 +104,12 @@ def task_of(env: str | gymnasium.Env, budget: Budget) -> Task:
             f"{spec.id!r} if they change neither observations nor actions"
         )
     world = make(spec.id)
-    if wrappers := [name for name in _wrappers(world) if name not in HARMLESS]:
+    inner = world
+    while isinstance(inner, HARMLESS):
+        inner = inner.env
+    if inner is not world.unwrapped:
         raise ValueError(
-            f"env: what is registered as {spec.id} is wrapped in {', '.join(wrappers)}, and the episodes are played "
+            f"env: what is registered as {spec.id} is wrapped in {type(inner).__name__}, and the episodes are played "
             f"without; move what that does into a subclass of MujocoEnv, and register that"
         )
     for what, space in (("observations", world.observation_space), ("actions", world.action_space)):
@@ -123,14 +127,6 @@ def task_of(env: str | gymnasium.Env, budget: Budget) -> Task:
     paper = {task.env_id: task for task in TASKS.values()}  # which has larger networks for its larger tasks
     task = paper.get(spec.id, Task(name, spec.id, 0.0, obs_dim, action_dim))
     return replace(task, epsilon=budget.epsilon, horizon=spec.max_episode_steps or task.horizon)
-
-
-def _wrappers(world: gymnasium.Env) -> list[str]:
-    names = []
-    while isinstance(world, gymnasium.Wrapper):
-        names.append(type(world).__name__)
-        world = world.env
-    return names
 
 
 def _check_fit(victim: Victim, task: Task) -> None:
@@ -157,22 +153,22 @@ def _claim(run: Run, victim: Victim, seed: int) -> None:
         sizes={field.name: sizes[field.name] for field in fields(DefenseScale)}, seed=seed,
     )  # fmt: skip
     settings["sizes"]["defense"] = asdict(run.scale.defense)
-    known = artifacts.read_json(path, run.root) if artifacts.is_made(path, run.root) else {}
-    unknown = not known
+    told = artifacts.read_json(path, run.root) if artifacts.is_made(path, run.root) else {}
+    known = dict(told)
     if artifacts.is_made(kept, run.root):
         known["victim"] = artifacts.digest(run.victim().state_dict())
     if other := [name for name in known if settings.get(name) != known[name]]:
         raise ValueError(
             f"folder: {run.folder} holds the defence of another {', '.join(other)}; give another folder, or remove it"
         )
-    if unknown and (any(run.folder.glob("normal-*")) or any(run.folder.glob("de[tn]*.safetensors"))):
+    if not told and any(any(run.folder.glob(made)) for made in ("normal-*", "detector-*", "denoiser-*")):
         raise ValueError(
             f"folder: {run.folder} holds a defence, and no {path.name} that says of which settings; restore that file, "
             f"or give another folder"
         )
     if not artifacts.is_made(kept, run.root):
         models.save_victim(run.task.name, run.algo, victim, dict(env_id=run.task.env_id), run.root)
-    if not artifacts.is_made(path, run.root):
+    if not told:
         artifacts.write_json(path, settings, run.root)
 
 

@@ -108,6 +108,14 @@ def test_a_weight_without_a_regularizer_and_one_below_zero_are_refused():
     for lam in (-0.1, float("nan")):
         with pytest.raises(ValueError, match="lam must be at least 0"):
             replace(RECIPE, lam=lam)
+    for change in (dict(epochs=0), dict(batch=0), dict(chunk=0)):
+        with pytest.raises(ValueError, match=f"{next(iter(change))} must be at least 1, not 0"):
+            replace(RECIPE, **change)
+    for change in (dict(least_share=-0.1), dict(least_size=1.1), dict(least_share=float("nan"))):
+        with pytest.raises(ValueError, match=f"{next(iter(change))} must be between 0 and 1"):
+            replace(RECIPE, **change)
+    with pytest.raises(ValueError, match='prior must be "free" or "standard", not \'flat\''):
+        replace(RECIPE, prior="flat")
 
 
 def test_a_finished_training_is_not_repeated(tmp_path):

@@ -193,10 +193,7 @@ class Odd(gymnasium.Env):
         (dict(env="Nowhere-v5"), "env: .*Nowhere"),
         (dict(env=Odd()), "env: it has no spec"),
         (dict(env="CartPole-v1"), "env: the actions of CartPole-v1 must be vectors"),
-        (
-            dict(env="Pendulum-v1"),
-            "env: Pendulum-v1 is not derived .*; from recorded episodes",
-        ),
+        (dict(env="Pendulum-v1"), "env: Pendulum-v1 is not derived .*; from recorded episodes"),
         (dict(env="Swimmer-v5"), "victim: it maps 4 observations to 1 actions, but Swimmer-v5 has 8 and 2"),
         (dict(env=gymnasium.make("InvertedPendulum-v5", reset_noise_scale=0.2)), "with reset_noise_scale, which"),
         (dict(env=Monitor(gymnasium.make("InvertedPendulum-v5"))), "with Monitor, which its id does not tell"),

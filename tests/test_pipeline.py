@@ -69,6 +69,17 @@ def test_detector_and_denoiser_draw_independently():
     assert not torch.allclose(detector.step(obs[:, 0])[2], denoiser.step(obs[:, 0]))
 
 
+def test_no_episode_or_other_episodes_than_those_under_way_are_refused_and_forgotten():
+    defense, obs = make_defense(), normal(2, 3, 11)
+    with pytest.raises(ValueError, match=r"no episode is under way; call reset\(episodes\) first"):
+        make_defense()(obs[:, 0])
+    expected = run(defense, obs)
+    defense.reset(range(2))
+    with pytest.raises(ValueError, match="obs has 1 rows, but 2 episodes are under way"):
+        defense(obs[:1, 0])
+    assert all(torch.equal(defense(o).obs, v.obs) for o, v in zip(obs.unbind(1), expected, strict=True))
+
+
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_an_observation_that_is_not_finite_is_refused_and_forgotten(value):
     defense, obs = make_defense(), normal(2, 3, 11)
