@@ -12,7 +12,7 @@ import pytest
 from builders import BUDGET, HOPPER, make_defense, make_victim, run_with_gl
 from PIL import Image
 
-from detden_lite import films
+from detden_lite import films, playback, studio
 from detden_lite.attacks.noise import UniformNoise
 from detden_lite.rollout import rollout
 
@@ -53,7 +53,7 @@ def test_the_film_is_what_browsers_play(folder):
     reader = imageio_ffmpeg.read_frames(folder / "film.mp4")
     about = next(reader)
     frames = list(reader)
-    assert (about["codec"], about["fps"], about["size"]) == ("h264", 25.0, (360, 120 + films.CAPTION))
+    assert (about["codec"], about["fps"], about["size"]) == ("h264", 25.0, (360, 120 + studio.CAPTION))
     assert about["pix_fmt"].startswith("yuv420p")
     assert len(frames) == 5
     assert frames[0] != frames[-1]
@@ -72,8 +72,8 @@ def test_a_slow_film_has_as_many_more_frames_and_begins_and_ends_with_the_same(f
 
 def test_a_still_shows_each_robot_in_its_colour(folder):
     picture = np.asarray(Image.open(folder / "still.png").convert("RGB")).astype(int)
-    assert picture.shape == (120 + films.CAPTION, 360, 3)
-    for position, colour in enumerate(films.COLOURS[:3]):
+    assert picture.shape == (120 + studio.CAPTION, 360, 3)
+    for position, colour in enumerate(playback.COLOURS[:3]):
         robot = picture[:120, 120 * position : 120 * (position + 1)]
         direction = np.array(colour) / np.linalg.norm(colour)
         bright = robot[np.linalg.norm(robot, axis=-1) > 120]
@@ -92,7 +92,7 @@ def test_a_robot_whose_episode_ended_early_is_grey(folder):
 
 def test_a_filmstrip_has_a_row_for_each_kind_and_a_column_for_each_time(folder):
     picture = Image.open(folder / "strip.png")
-    assert picture.size == (2 * 120, 3 * (120 + films.CAPTION))
+    assert picture.size == (2 * 120, 3 * (120 + studio.CAPTION))
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from builders import make_gruvae, run_with_gl
 from PIL import Image
 from test_cards import ship
 
-from detden_lite import artifacts, films, models, stages
+from detden_lite import artifacts, models, stages, studio
 from detden_lite.runs import MAIN
 from detden_lite.victims import Victim
 
@@ -28,10 +28,10 @@ def test_all_attacks_are_filmed_side_by_side_and_recorded_one_by_one(tmp_path):
     run_with_gl(SCRIPT, root)
 
     about = next(imageio_ffmpeg.read_frames(root / "films" / "hopper-td3-attacks.mp4"))
-    assert about["codec"] == "h264" and about["size"] == (4 * 220, 220 + films.CAPTION)
+    assert about["codec"] == "h264" and about["size"] == (4 * 220, 220 + studio.CAPTION)
     assert about["duration"] <= 0.9, "at most 50 steps of 8 ms, half as fast"
     assert Image.open(root / "films" / "hopper-td3-attacks.png").size == about["size"]
-    assert Image.open(root / "films" / "hopper-td3-qfunction.png").size == (900, 300 + films.CAPTION)
+    assert Image.open(root / "films" / "hopper-td3-qfunction.png").size == (900, 300 + studio.CAPTION)
     assert {path.stem for path in (root / "recordings").iterdir()} == {"hopper-td3-qfunction", "hopper-td3-optimal"}
 
     stages.publish(stages.Run.of(root, "hopper", "td3", "tiny"), tmp_path / "data")
@@ -46,5 +46,5 @@ def test_an_episode_under_an_attack_that_rings_no_alarm_is_recorded(tmp_path):
     artifacts.write_json(tmp_path / "hopper-td3" / "timing.json", dict(c_vul=0.0, attack_rate=0.5), tmp_path)
     command = 'main(["slip", "--root", sys.argv[1]])'
     run_with_gl(f"import sys\nfrom detden_lite.__main__ import main\n{command}", tmp_path)
-    assert Image.open(tmp_path / "films" / "hopper-td3-stealthy.png").size == (900, 300 + films.CAPTION)
+    assert Image.open(tmp_path / "films" / "hopper-td3-stealthy.png").size == (900, 300 + studio.CAPTION)
     assert (tmp_path / "recordings" / "hopper-td3-stealthy.rrd").stat().st_size > 10_000
