@@ -50,10 +50,15 @@ def draw(axes: Axes, graph: nx.DiGraph) -> None:
         axes.annotate("", places[route[0]], places[route[1]], arrowprops=arrow)
     for rule in graph:
         box = dict(boxstyle="round,pad=0.45", facecolor="white", edgecolor=figures.BLUE, linewidth=1.4)
-        axes.text(*places[rule], rule, ha="center", va="center", bbox=box)
-    half = max(abs(x) for x, _ in places.values()) + 0.5
+        axes.text(*places[rule], rule, ha="center", va="center", bbox=box, fontsize=8)
+    half = max(abs(x) + _width(stop) / 2 for stop, (x, _) in places.items())
     axes.set(xlim=(-half, half), ylim=(-0.5, len(levels) - 0.5))
     axes.axis("off")
+
+
+def _width(stop: str | tuple) -> float:
+    """In characters: the name of a rule with its box, or the room for an edge that passes."""
+    return len(stop) + 4.0 if isinstance(stop, str) else 2.0
 
 
 def _places(levels: list[list], neighbours: nx.Graph) -> dict:
@@ -63,7 +68,7 @@ def _places(levels: list[list], neighbours: nx.Graph) -> dict:
         for height, stops in enumerate(levels) if sweep % 2 == 0 else reversed(list(enumerate(levels))):
             middle = {stop: np.mean([places[n][0] for n in neighbours[stop] if n in places] or [0]) for stop in stops}
             stops.sort(key=lambda stop: (middle[stop], str(stop)))
-            widths = np.array([1.0 if isinstance(stop, str) else 0.4 for stop in stops])  # a passing edge has no box
+            widths = np.array([_width(stop) for stop in stops])
             for stop, x in zip(stops, widths.cumsum() - widths / 2 - widths.sum() / 2, strict=True):
                 places[stop] = (float(x), height)
     return places
