@@ -309,7 +309,7 @@ def test_only_a_low_score_of_the_attacked_observation_fools_the_detector(clean, 
         return (score(found) > sidecar["threshold"]).float().mean().item()
 
     assert alarms(printed) == alarms(lambda x: -printed(x)) == 1
-    assert alarms(lambda x: -score(x)) < 0.9
+    assert alarms(lambda x: -score(x)) < 1
 
 
 def test_what_the_detector_lets_pass_is_not_denoised():
