@@ -48,7 +48,7 @@ data: .venv/stamp ## Make everything in data/ anew, in runs/SCALE (SCALE=tiny, l
 	$(PY) -m snakemake $(GOALS) --snakefile data/Snakefile --configfile data/config/$(SCALE).yaml --directory runs/$(SCALE) --jobs $(JOBS) --config only="$(ROWS)" films=$(FILMS)
 
 durations: .venv/stamp ## Print how long each stage of make data SCALE=lite takes, and how fast victims train
-	$(PY) -m detden_lite durations
+	$(PY) book/tools/durations.py
 
 bench: .venv/stamp ## Print the benchmarks
 	$(PY) -c "import pathlib, subprocess, sys; [subprocess.run([sys.executable, str(p)], check=True) for p in sorted(pathlib.Path('tests/benchmarks').glob('*.py'))]"

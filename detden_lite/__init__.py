@@ -1,10 +1,104 @@
-"""Detect-and-denoise defences of deep reinforcement-learning policies (Xiong et al., ECML-PKDD 2022)."""
+"""Detect-and-denoise defences of deep reinforcement-learning policies (Xiong et al., ECML-PKDD 2022).
+
+The names below are the public face. Each is loaded when it is first asked for, so that ``import detden_lite`` is quick
+and needs no more than what is used.
+"""
+
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+
+try:
+    __version__ = version("detden-lite")
+except PackageNotFoundError:  # a checkout that was never installed
+    __version__ = "0"
+
+# By module: what it offers here.
+_FACE = {
+    "core.budget": "Budget",
+    "core.tasks": "Task TASKS SWIMMER get_task",
+    "core.types": "Episodes Trajectories Verdict World",
+    "core.random_streams": "RandomStreams",
+    "core.ascent": "ascend",
+    "core.gradients": "value_and_gradient",
+    "core.networks": "mlp",
+    "core.estimates": "Estimate estimate iqm",
+    "core.metrics": "detector_scores detection_delay f1_at live_dimensions mean_absolute_error score_auroc summarize",
+    "core.files": "ArtifactError",
+    "victims.victim": "Victim",
+    "victims.action_gradients": "ActionObjective",
+    "victims.critic": "QRecipe learn_q policy_noise",
+    "simulation.rollout": "rollout",
+    "simulation.simulator": "Simulator",
+    "simulation.fast_simulator": "make_simulator",
+    "simulation.planner": "CEMPlanner OpenLoop",
+    "simulation.collection": "collect_normal",
+    "defense.gruvae": "GRUVAE kl_divergence reconstruction_loss",
+    "defense.detector": "Detector linf_score",
+    "defense.thresholds": "calibrate clean_scores conformal_threshold tuned_threshold",
+    "defense.denoiser": "Denoiser",
+    "defense.pipeline": "DetectAndDenoise",
+    "defense.defended": "Defended",
+    "defense.augmentation": "augment intermittent",
+    "defense.training": "VAERecipe train_gruvae",
+    "defense.regularizer": "Regularizer euclidean mahalanobis",
+    "defense.variants": "MAIN VARIANTS",
+    "defense.baselines": "Identity KalmanFilter MahalanobisDetector PredictionDetector",
+    "defense.linear_models": "Gaussian LinearModel",
+    "defense.oracles": "OracleDenoiser OracleDetector",
+    "attacks.noise": "GaussianNoise UniformNoise",
+    "attacks.gradient": "GradientAttack",
+    "attacks.opposite": "OppositeAttack opposite_objective",
+    "attacks.qfunction": "QFunctionAttack q_objective",
+    "attacks.optimal": "OptimalAttack",
+    "attacks.enchanting": "EnchantingAttack",
+    "attacks.adaptive": "AdaptiveAttack CoupledAttack GradientFreeAttack StealthyAttack Outcome",
+    "attacks.printed": "PrintedAttack",
+    "attacks.informed": "View view_defense",
+    "attacks.search": "climb evolve",
+    "attacks.linear_search": "LinearMaps elite_weights",
+    "attacks.adversary_world": "AdversaryEnv",
+    "attacks.timing": "After Always Random Vulnerable",
+    "attacks.threat": "Threat",
+    "attacks.catalogue": "CATALOGUE",
+    "attacks.attacked_observations": "AttackedObservations",
+    "store.manifest": "DATA read_json",
+    "store.models": "load_adversary load_defense load_model load_victim",
+    "results.cells": "Cell table_cells",
+    "results.records": "load_record",
+    "results.bare_victims": "UNATTACKED",
+    "looking.widgets": "frames",
+    "looking.robot": "Robot",
+    "looking.takes": "takes",
+    "looking.recordings": "record",
+    "theory.worst_error": "worst_error worst_errors",
+    "theory.finite_mdp": "FiniteMDP largest_tv leaving",
+    "recipe.defend": "defend task_of",
+    "recipe.run": "Run",
+    "recipe.evaluation": "run_cell",
+    "recipe.sweeps": "over_planners over_sizes",
+    "recipe.scales": "get_scale defense_scale DefenseScale",
+    "recipe.trajectories": "load_trajectories",
+    "recipe.episode_seeds": "seeds",
+    "recipe.defense_stages": "FALSE_ALARMS",
+}
+# Modules that are offered whole, since their names are short and belong together.
+_MODULES = (
+    "attacks.catalogue", "attacks.sanity", "theory.bound", "results.adaptive_attacks", "results.bare_victims",
+    "results.defended_victims", "results.paper", "results.published", "results.victim_cards", "looking.figures",
+    "looking.films", "defense.variants", "recipe.bound_along_training", "recipe.latent_noise",
+)  # fmt: skip
+_HOME = {name: module for module, names in _FACE.items() for name in names.split()}
+_HOME |= {module.rpartition(".")[2]: module for module in _MODULES}
+__all__ = ["__version__", *sorted(_HOME)]
 
 
-def __getattr__(name: str):
-    """``detden_lite.defend`` and what belongs to it, loaded when they are asked for: they bring the whole library."""
-    if name == "defend":
-        from detden_lite.own import defend
+def __getattr__(name: str) -> object:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = import_module(f"{__name__}.{_HOME[name]}")
+    value = globals()[name] = module if _HOME[name] in _MODULES else getattr(module, name)
+    return value
 
-        return defend
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+def __dir__() -> list[str]:
+    return __all__

@@ -11,7 +11,7 @@ import networkx as nx
 import numpy as np
 from matplotlib.axes import Axes
 
-from detden_lite import figures
+from detden_lite.looking import figures
 
 DATA = Path(__file__).resolve().parents[2] / "data"
 

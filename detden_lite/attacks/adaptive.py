@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 from detden_lite.attacks.gradient import GradientAttack
-from detden_lite.attacks.informed import InformedAttack, View, look
+from detden_lite.attacks.informed import InformedAttack, View, view_defense
 from detden_lite.attacks.search import climb, evolve
-from detden_lite.draws import Draws
+from detden_lite.core.random_streams import RandomStreams
 
 FORBIDDEN = -1e12  # less than any damage: a stand-in's value where the detector does not do what it is to do
 
@@ -90,7 +90,7 @@ class AdaptiveAttack(InformedAttack):
         samples: K, latent samples that a climb averages over, the same ones all along.
         fresh: latent samples of the last judgement.
         seed: of the attacker's draws.
-        look: see ``InformedAttack``.
+        view: see ``InformedAttack``.
 
     Raises:
         ValueError: if one of the numbers is not above 0.
@@ -101,9 +101,9 @@ class AdaptiveAttack(InformedAttack):
 
     def __init__(
         self, attack: GradientAttack, steps: int = 100, restarts: int = 1, samples: int = 8, fresh: int = 32,
-        seed: int = 0, look: Callable[..., View] = look,
+        seed: int = 0, view: Callable[..., View] = view_defense,
     ):  # fmt: skip
-        super().__init__(attack, seed, look)
+        super().__init__(attack, seed, view)
         self.steps, self.restarts, self.samples, self.fresh = steps, restarts, samples, fresh
         for name, number in self.settings.items():
             if not number > 0:
@@ -117,26 +117,28 @@ class AdaptiveAttack(InformedAttack):
         """The projection into what is allowed, for the wanted rows of ``obs`` ``[N, obs_dim]``."""
         return self.budget.projection(obs[wanted])
 
-    def search(self, *problem, draws: Draws) -> Tensor:
+    def search(self, *problem, streams: RandomStreams) -> Tensor:
         """The point with the most damage that is met; ``problem`` is as in ``climb``, up to ``budget``."""
         return climb(*problem, self.steps)
 
-    def perturb(self, obs: Tensor, wanted: Tensor, world, look: Callable[[int], View], draws: Draws) -> Tensor:
+    def perturb(
+        self, obs: Tensor, wanted: Tensor, world, views: Callable[[int], View], streams: RandomStreams
+    ) -> Tensor:
         true, project = obs[wanted], self.projection(obs, wanted)
         objective = self.attack.objective(true, world)
         unaware = self.attack.ascend(objective, obs, wanted)[wanted]
-        outcome = partial(Outcome.of, view=look(self.samples), policy=self.policy, of_action=objective.of_action)
+        outcome = partial(Outcome.of, view=views(self.samples), policy=self.policy, of_action=objective.of_action)
 
         def measure(perturbed: Tensor, stand_in: Callable[[Outcome], Tensor]) -> tuple[Tensor, Tensor]:
             found = outcome(perturbed)
             return self.aim(found), stand_in(found)
 
         candidates = [project(true), project(unaware)]
-        for start in (unaware, *(self.budget.sample(true, draws) for _ in range(self.restarts))):
+        for start in (unaware, *(self.budget.sample(true, streams) for _ in range(self.restarts))):
             for stand_in in self.ways:
                 problem = partial(measure, stand_in=stand_in), start, project, self.budget
-                candidates.append(self.search(*problem, draws=draws))
-        judge = partial(outcome, view=look(self.fresh))
+                candidates.append(self.search(*problem, streams=streams))
+        judge = partial(outcome, view=views(self.fresh))
         best = torch.stack([self.aim(judge(point)) for point in candidates]).argmax(0)
         found = obs.clone()
         found[wanted] = torch.stack(candidates)[best, torch.arange(len(true))]
@@ -165,8 +167,8 @@ class GradientFreeAttack(AdaptiveAttack):
     def settings(self) -> dict:
         return super().settings | dict(population=self.population, elites=self.elites)
 
-    def search(self, *problem, draws: Draws) -> Tensor:
-        return evolve(*problem, self.steps, self.population, self.elites, draws)
+    def search(self, *problem, streams: RandomStreams) -> Tensor:
+        return evolve(*problem, self.steps, self.population, self.elites, streams)
 
 
 class StealthyAttack(AdaptiveAttack):

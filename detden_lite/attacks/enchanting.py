@@ -6,10 +6,10 @@ import torch
 from torch import Tensor
 
 from detden_lite.attacks.gradient import GradientAttack
-from detden_lite.budget import Budget
-from detden_lite.gradients import ActionObjective
-from detden_lite.planner import CEMPlanner
-from detden_lite.victims import Victim
+from detden_lite.core.budget import Budget
+from detden_lite.simulation.planner import CEMPlanner
+from detden_lite.victims.action_gradients import ActionObjective
+from detden_lite.victims.victim import Victim
 
 
 class EnchantingAttack(GradientAttack):

@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from detden_lite.ascent import ascend
-from detden_lite.budget import Budget
-from detden_lite.draws import Draws
-from detden_lite.gradients import ActionObjective, Policy
-from detden_lite.victims import Victim
+from detden_lite.core.ascent import ascend
+from detden_lite.core.budget import Budget
+from detden_lite.core.random_streams import RandomStreams
+from detden_lite.victims.action_gradients import ActionObjective, Policy
+from detden_lite.victims.victim import Victim
 
 
 class GradientAttack(ABC):
@@ -41,7 +41,7 @@ class GradientAttack(ABC):
 
     def reset(self, episodes: Sequence[int] | None = None) -> None:
         """Begin new episodes, one seed each; None for offline use on any number of rows."""
-        self.draws = Draws(self.seed, episodes)
+        self.streams = RandomStreams(self.seed, episodes)
 
     def __call__(self, obs: Tensor, world=None) -> Tensor:
         """Perturbed observations ``[N, obs_dim]``; rows that the world does not want come back as they are."""
@@ -50,4 +50,4 @@ class GradientAttack(ABC):
 
     def ascend(self, objective: Callable[[Tensor], Tensor], obs: Tensor, wanted: Tensor) -> Tensor:
         """The ascent on an objective of the wanted rows, with this attack's steps, restarts and random starts."""
-        return ascend(objective, obs, self.budget, self.draws, self.steps, restarts=self.restarts, wanted=wanted)
+        return ascend(objective, obs, self.budget, self.streams, self.steps, restarts=self.restarts, wanted=wanted)

@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 from detden_lite.attacks.gradient import GradientAttack
-from detden_lite.defense import GRUVAE, DetectAndDenoise
-from detden_lite.defense.gruvae import sample
-from detden_lite.draws import Draws, derived_seed
+from detden_lite.core.random_streams import RandomStreams, derived_seed
+from detden_lite.defense.gruvae import GRUVAE, sample
+from detden_lite.defense.pipeline import DetectAndDenoise
 
 
 @dataclass(frozen=True)
@@ -65,14 +65,17 @@ def one_step(part, rows: Tensor, noise: Tensor | None) -> Callable[[Tensor], Ten
     return step
 
 
-def look(defense: DetectAndDenoise, rows: Tensor, draws: Draws, samples: int) -> View:
+def view_defense(
+    defense: DetectAndDenoise, rows: Tensor, streams: RandomStreams, samples: int, action: Tensor | None = None
+) -> View:
     """The view of a defence of two GRU-VAEs.
 
     Args:
         defense: with its memory as it is before this observation.
         rows: the attacked ones of its N episodes, ``[N]`` bool, n of them.
-        draws: the attacker's, of n rows.
+        streams: the attacker's, of n rows.
         samples: K, latent samples of each row.
+        action: what the policy did one step before, ``[n, action_dim]``; a GRU-VAE does not ask for it.
 
     Raises:
         ValueError: if detector or denoiser is no GRU-VAE.
@@ -82,13 +85,13 @@ def look(defense: DetectAndDenoise, rows: Tensor, draws: Draws, samples: int) ->
         model = getattr(part, "model", None)
         if not isinstance(model, GRUVAE):
             raise ValueError(
-                f"defense: its {type(part).__name__} is no GRU-VAE; give the attack a look of your own, which makes a "
+                f"defense: its {type(part).__name__} is no GRU-VAE; give the attack a view of your own, which makes a "
                 "View of it"
             )
         if not part.sample:
             return one_step(part, rows, None)
         n = int(rows.sum())
-        noise = draws.normal(n * samples, model.latent_dim).reshape(n, samples, -1)
+        noise = streams.normal(n * samples, model.latent_dim).reshape(n, samples, -1)
         return one_step(part, rows, noise.transpose(0, 1))
 
     reconstruct = through(defense.detector)
@@ -108,11 +111,11 @@ class InformedAttack(ABC):
     Args:
         attack: the attack that does not know the defence: what it calls damage is damage here too.
         seed: of the attacker's draws.
-        look: how to see a defence; see the function ``look``.
+        view: how to see a defence, with the arguments of ``view_defense``.
     """
 
-    def __init__(self, attack: GradientAttack, seed: int = 0, look: Callable[..., View] = look):
-        self.attack, self.seed, self.look, self.budget = attack, seed, look, attack.budget
+    def __init__(self, attack: GradientAttack, seed: int = 0, view: Callable[..., View] = view_defense):
+        self.attack, self.seed, self.view, self.budget = attack, seed, view, attack.budget
         self.needs = attack.needs | {"defense"}
         self.policy = attack.victim.straight_through if attack.clips else attack.victim.mean
 
@@ -122,15 +125,17 @@ class InformedAttack(ABC):
         """What a result record says of it."""
 
     @abstractmethod
-    def perturb(self, obs: Tensor, wanted: Tensor, world, look: Callable[[int], View], draws: Draws) -> Tensor:
+    def perturb(
+        self, obs: Tensor, wanted: Tensor, world, views: Callable[[int], View], streams: RandomStreams
+    ) -> Tensor:
         """The perturbed observations ``[N, obs_dim]``.
 
         Args:
             obs: true observations ``[N, obs_dim]``.
             wanted: whose perturbed observation will be used, ``[N]`` bool, n > 0 of them.
             world: what ``rollout`` hands to the attack.
-            look: gives a view of the defence for the n rows and so many samples, new ones at every call.
-            draws: of the n rows.
+            views: gives a view of the defence for the n rows and so many samples, new ones at every call.
+            streams: of the n rows.
         """
 
     def reset(self, episodes: Sequence[int] | None = None) -> None:
@@ -153,5 +158,6 @@ class InformedAttack(ABC):
         wanted = torch.from_numpy(world.wanted)
         if not wanted.any():
             return self.attack(obs, world)  # only so that what it draws and plans goes on
-        draws = Draws(seed, None if self.episodes is None else self.episodes[world.wanted])
-        return self.perturb(obs, wanted, world, lambda k: self.look(defense, wanted, draws, k), draws)
+        streams = RandomStreams(seed, None if self.episodes is None else self.episodes[world.wanted])
+        action = None if world.action is None else world.action[wanted]
+        return self.perturb(obs, wanted, world, lambda k: self.view(defense, wanted, streams, k, action), streams)

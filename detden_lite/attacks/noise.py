@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from torch import Tensor
 
-from detden_lite.budget import Budget
-from detden_lite.draws import Draws
+from detden_lite.core.budget import Budget
+from detden_lite.core.random_streams import RandomStreams
 
 
 class UniformNoise:
@@ -17,15 +17,15 @@ class UniformNoise:
         self.budget, self.seed = budget, seed
 
     def reset(self, episodes: Sequence[int]) -> None:
-        self.draws = Draws(self.seed, episodes)
+        self.streams = RandomStreams(self.seed, episodes)
 
     def __call__(self, obs: Tensor, world=None) -> Tensor:
-        return self.budget.project(obs, self.budget.sample(obs, self.draws))
+        return self.budget.project(obs, self.budget.sample(obs, self.streams))
 
 
 class GaussianNoise(UniformNoise):
     """Gaussian noise of standard deviation epsilon (times scale), projected into the ball."""
 
     def __call__(self, obs: Tensor, world=None) -> Tensor:
-        noise = self.draws.normal(*obs.shape) * self.budget.epsilon * self.budget.scale
+        noise = self.streams.normal(*obs.shape) * self.budget.epsilon * self.budget.scale
         return self.budget.project(obs, obs + noise)

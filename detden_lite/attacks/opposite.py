@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from detden_lite.attacks.gradient import GradientAttack
-from detden_lite.gradients import ActionObjective
-from detden_lite.victims import Victim
+from detden_lite.victims.action_gradients import ActionObjective
+from detden_lite.victims.victim import Victim
 
 
 def opposite_objective(victim: Victim, obs: Tensor) -> Callable[[Tensor], Tensor]:

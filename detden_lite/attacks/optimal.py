@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from detden_lite.budget import Budget
+from detden_lite.core.budget import Budget
 
 
 def perturb(budget: Budget, obs: Tensor, direction: Tensor) -> Tensor:

@@ -5,14 +5,13 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from detden_lite.attacks.catalogue import FORMS
 from detden_lite.attacks.enchanting import EnchantingAttack
 from detden_lite.attacks.gradient import GradientAttack
-from detden_lite.attacks.informed import InformedAttack, View, look
+from detden_lite.attacks.informed import InformedAttack, View, view_defense
 from detden_lite.attacks.opposite import OppositeAttack
+from detden_lite.core.random_streams import RandomStreams
 from detden_lite.defense.detector import linf_score
-from detden_lite.draws import Draws
-
-FORMS = ("text", "appendix")
 
 
 class PrintedAttack(InformedAttack):
@@ -31,7 +30,7 @@ class PrintedAttack(InformedAttack):
         form: "text" decreases ||det(o_hat) - o_hat||_inf, "appendix" increases ||det(o_hat) - o||_inf.
         weight: of l_det; the paper's is 1.
         seed: of the attacker's latent samples.
-        look: see ``InformedAttack``.
+        view: see ``InformedAttack``.
 
     Raises:
         ValueError: for another form.
@@ -39,25 +38,27 @@ class PrintedAttack(InformedAttack):
 
     def __init__(
         self, attack: GradientAttack, form: str = "text", weight: float = 1.0, seed: int = 0,
-        look: Callable[..., View] = look,
+        view: Callable[..., View] = view_defense,
     ):  # fmt: skip
         if form not in FORMS:
             raise ValueError(f"form must be one of {', '.join(FORMS)}, not {form!r}")
-        super().__init__(attack, seed, look)
+        super().__init__(attack, seed, view)
         self.form, self.weight = form, weight
 
     @property
     def settings(self) -> dict:
         return dict(form=self.form, weight=self.weight)
 
-    def perturb(self, obs: Tensor, wanted: Tensor, world, look: Callable[[int], View], draws: Draws) -> Tensor:
+    def perturb(
+        self, obs: Tensor, wanted: Tensor, world, views: Callable[[int], View], streams: RandomStreams
+    ) -> Tensor:
         true = obs[wanted]
         opposite = isinstance(self.attack, OppositeAttack)
-        damage = self.attack.objective(look(1).denoise(true)[0] if opposite else true, world).of_action
+        damage = self.attack.objective(views(1).denoise(true)[0] if opposite else true, world).of_action
         squared = isinstance(self.attack, EnchantingAttack) or (opposite and self.attack.victim.action_std is None)
 
         def objective(perturbed: Tensor) -> Tensor:
-            view = look(1)
+            view = views(1)
             value = damage(self.policy(view.denoise(perturbed)[0]))
             if squared:
                 value = value.sign() * (value.abs() + torch.finfo(value.dtype).tiny).sqrt()

@@ -5,11 +5,12 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from detden_lite.ascent import Best
-from detden_lite.budget import Budget
-from detden_lite.draws import Draws
+from detden_lite.core.ascent import Best
+from detden_lite.core.budget import Budget
+from detden_lite.core.random_streams import RandomStreams
 
 Project = Callable[[Tensor], Tensor]  # into the set of points [n, obs_dim] that must not be left
+
 Measure = Callable[[Tensor], tuple[Tensor, Tensor]]  # the value of points [n, obs_dim] and its stand-in, [n] each
 
 
@@ -43,7 +44,7 @@ def climb(measure: Measure, start: Tensor, project: Project, budget: Budget, ste
 
 def evolve(
     measure: Measure, start: Tensor, project: Project, budget: Budget, steps: int, population: int, elites: int,
-    draws: Draws,
+    streams: RandomStreams,
 ) -> Tensor:  # fmt: skip
     """The point with the largest value that was met in a cross-entropy search, which asks for no gradient.
 
@@ -55,12 +56,12 @@ def evolve(
         steps: how often mean and standard deviation are fitted to the elites.
         population: points of each time.
         elites: how many of them are elites.
-        draws: of the points, of n rows.
+        streams: of the points, of n rows.
     """
     mean, spread = project(start), torch.as_tensor(budget.epsilon * budget.scale)
     best = Best(mean)
     for _ in range(steps):
-        points = [project(mean + spread * draws.normal(*start.shape)) for _ in range(population)]
+        points = [project(mean + spread * streams.normal(*start.shape)) for _ in range(population)]
         stand_ins = []
         for point in points:
             value, stand_in = measure(point)

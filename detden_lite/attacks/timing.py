@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from detden_lite.draws import Draws
-from detden_lite.victims import Victim
+from detden_lite.core.random_streams import RandomStreams
+from detden_lite.victims.victim import Victim
 
 
 class Always:
@@ -63,7 +63,7 @@ class Random:
         self.rate, self.seed = rate, seed
 
     def reset(self, episodes: Sequence[int]) -> None:
-        self.draws = Draws(self.seed, episodes)
+        self.streams = RandomStreams(self.seed, episodes)
 
     def __call__(self, obs: Tensor) -> Tensor:
-        return self.draws.uniform(len(obs), 1).squeeze(-1) < self.rate
+        return self.streams.uniform(len(obs), 1).squeeze(-1) < self.rate

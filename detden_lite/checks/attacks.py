@@ -5,8 +5,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from detden_lite.budget import Budget
 from detden_lite.checks.compare import array, compare
+from detden_lite.core.budget import Budget
 
 
 def check_project_l2(project: Callable[[Tensor, Tensor, float], Tensor]) -> None:

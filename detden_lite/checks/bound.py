@@ -7,9 +7,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from detden_lite.bound import total_variation
 from detden_lite.checks.compare import array, compare
-from detden_lite.finite_mdp import FiniteMDP
+from detden_lite.theory.bound import total_variation
+from detden_lite.theory.finite_mdp import FiniteMDP
 
 
 def check_counterexample(counterexample: Callable[[float], tuple[FiniteMDP, np.ndarray]]) -> None:

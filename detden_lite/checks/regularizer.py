@@ -5,11 +5,11 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from detden_lite.budget import Budget
 from detden_lite.checks.compare import array, compare
+from detden_lite.core.budget import Budget
 from detden_lite.defense.gruvae import GRUVAE, kl_divergence, reconstruction_loss
 from detden_lite.defense.regularizer import Regularizer
-from detden_lite.victims import Victim
+from detden_lite.victims.victim import Victim
 
 
 def check_r_ppo(r_ppo: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None:

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from detden_lite.checks.compare import array, compare
-from detden_lite.metrics import detector_scores
+from detden_lite.core.metrics import detector_scores
 
 
 def check_kept_share(kept_share: Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[float, float, float]]) -> None:

@@ -1,11 +1,4 @@
-"""The defender's side: two GRU-VAEs, a detector that says when to defend and a denoiser that says how (section 3.1).
+"""The defender's side: detector, denoiser and pipeline (section 3.1), their training, baselines and oracles.
 
-Beside them: the ``baselines`` that they have to beat, and the ``oracles`` that none can.
+Nothing here needs a simulator: a robot that carries a defence has no MuJoCo.
 """
-
-from detden_lite.defense.denoiser import Denoiser
-from detden_lite.defense.detector import Detector
-from detden_lite.defense.gruvae import GRUVAE
-from detden_lite.defense.pipeline import DetectAndDenoise, Verdict
-
-__all__ = ["GRUVAE", "Denoiser", "DetectAndDenoise", "Detector", "Verdict"]

@@ -7,9 +7,9 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from detden_lite.defense.augmentation import Trajectories
+from detden_lite.core.networks import mlp
+from detden_lite.core.types import Trajectories
 from detden_lite.defense.gruvae import LEAST_STD, reconstruction_loss
-from detden_lite.victims import mlp
 
 
 class DenoisingAutoencoder(nn.Module):
@@ -42,7 +42,7 @@ class DenoisingAutoencoder(nn.Module):
         """Begin a new episode in row i; there is no memory."""
 
     @torch.no_grad()
-    def step(self, obs: Tensor) -> Tensor:
+    def step(self, obs: Tensor, action: Tensor | None = None) -> Tensor:
         """The denoised observation ``[N, obs_dim]``."""
         return self(obs)
 

@@ -6,8 +6,8 @@ from math import inf, nan
 import torch
 from torch import Tensor
 
-from detden_lite.budget import Budget
-from detden_lite.defense.linear import Gaussian, LinearModel, steady_gain
+from detden_lite.core.budget import Budget
+from detden_lite.defense.linear_models import Gaussian, LinearModel, steady_gain
 
 
 class Identity:
@@ -19,7 +19,7 @@ class Identity:
     def restart(self, i: int, episode: int) -> None:
         """Begin a new episode in row i; there is no memory."""
 
-    def step(self, obs: Tensor) -> Tensor:
+    def step(self, obs: Tensor, action: Tensor | None = None) -> Tensor:
         """o_hat itself, ``[N, obs_dim]``."""
         return obs
 
@@ -50,7 +50,7 @@ class KalmanFilter:
         """Begin a new episode in row i; the others go on."""
         self.expected[i] = self.model.start
 
-    def step(self, obs: Tensor) -> Tensor:
+    def step(self, obs: Tensor, action: Tensor | None = None) -> Tensor:
         """The filtered observation ``[N, obs_dim]``."""
         filtered = self.expected + (obs - self.expected) @ self.gain.T
         self.expected = self.model.predict(filtered)

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from detden_lite.core.random_streams import RandomStreams
 from detden_lite.defense.gruvae import GRUVAE, forget
-from detden_lite.draws import Draws
 
 
 class Denoiser:
@@ -23,17 +23,17 @@ class Denoiser:
 
     def reset(self, episodes: Sequence[int]) -> None:
         """Begin new episodes, one seed each."""
-        self.state, self.draws = None, Draws(self.seed, episodes)
+        self.state, self.streams = None, RandomStreams(self.seed, episodes)
 
     def restart(self, i: int, episode: int) -> None:
         """Begin a new episode in row i; the others go on."""
         self.state = forget(self.state, i)
-        self.draws.restart(i, episode)
+        self.streams.restart(i, episode)
 
     @torch.no_grad()
-    def step(self, obs: Tensor) -> Tensor:
+    def step(self, obs: Tensor, action: Tensor | None = None) -> Tensor:
         """den(o_hat): the denoised observation ``[N, obs_dim]``."""
-        noise = self.draws.normal(len(obs), self.model.latent_dim)[:, None] if self.sample else None
+        noise = self.streams.normal(len(obs), self.model.latent_dim)[:, None] if self.sample else None
         result = self.model(obs[:, None], noise, self.state)
         self.state = result.state
         return result.output[:, 0]

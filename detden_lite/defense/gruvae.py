@@ -7,6 +7,7 @@ import torch
 from torch import Tensor, nn
 
 LEAST_STD = 1e-2  # of an observation, in raw units; one that never varies has to be measured in something
+
 State = tuple[Tensor, Tensor]  # encoder_state h^o and decoder_state h^z, [layers, N, hidden] each
 
 

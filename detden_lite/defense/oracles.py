@@ -53,7 +53,7 @@ class OracleDetector(_Oracle):
 class OracleDenoiser(_Oracle):
     """Undoes every attack: o from o_hat."""
 
-    def step(self, obs: Tensor) -> Tensor:
+    def step(self, obs: Tensor, action: Tensor | None = None) -> Tensor:
         """The true observation ``[N, obs_dim]``.
 
         Raises:

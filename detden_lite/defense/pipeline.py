@@ -1,30 +1,19 @@
 """Detect and denoise: the policy sees the denoised observation where the detector raises an alarm (figure 2)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from detden_lite.budget import Budget
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """What the defence says of one observation of N episodes."""
-
-    obs: Tensor  # what the policy is to see, [N, obs_dim], in raw units
-    alarm: Tensor  # [N] bool
-    score: Tensor  # the detector's, [N]; a GRU-VAE's is the largest error of an observation in its standard deviations
-    denoised: Tensor  # what the denoiser would show, [N, obs_dim], in raw units
+from detden_lite.core.budget import Budget
+from detden_lite.core.types import Denoiser, Detector, Verdict
 
 
 class DetectAndDenoise:
     """The paper's defence. Both parts see every observation, so that their memories stay in step with the episode.
 
-    A detector has a ``threshold`` and ``step(obs) -> score, alarm, reconstruction``; a denoiser has
-    ``step(obs) -> denoised``; both have ``reset(episodes)`` and ``restart(i, episode)``. The GRU-VAEs of the paper, the
-    baselines and the oracles may be put together freely.
+    The contracts of both parts are in ``detden_lite.core.types``. The GRU-VAEs of the paper, the baselines and the
+    oracles may be put together freely.
 
     Args:
         detector: raises the alarm.
@@ -34,12 +23,14 @@ class DetectAndDenoise:
             budget. The paper does not do this (its released code does).
     """
 
-    def __init__(self, detector, denoiser=None, always: bool = False, budget: Budget | None = None):
+    def __init__(
+        self, detector: Detector, denoiser: Denoiser | None = None, always: bool = False, budget: Budget | None = None
+    ):
         self.detector, self.denoiser, self.always, self.budget = detector, denoiser, always, budget
         self._rows: int | None = None  # episodes under way
 
     @property
-    def parts(self) -> list:
+    def parts(self) -> list[Detector | Denoiser]:
         """The detector, and the denoiser if there is one."""
         return [part for part in (self.detector, self.denoiser) if part is not None]
 
@@ -77,8 +68,12 @@ class DetectAndDenoise:
             if "truth" in getattr(part, "needs", ()):
                 part.reveal(true, attacked)
 
-    def __call__(self, obs: Tensor) -> Verdict:
-        """Judge one observation of each episode, ``[N, obs_dim]`` float32, in raw units.
+    def __call__(self, obs: Tensor, action: Tensor | None = None) -> Verdict:
+        """Judge one observation of each episode.
+
+        Args:
+            obs: what is shown, ``[N, obs_dim]`` float32, in raw units.
+            action: what the policy did one step before; see ``detden_lite.core.types.Denoiser.step``.
 
         Raises:
             ValueError: if no episodes were begun, or not as many as there are rows, or an observation is not finite: it
@@ -91,7 +86,7 @@ class DetectAndDenoise:
         if not torch.isfinite(obs).all():
             raise ValueError("obs holds NaN or infinity; check the sensor before the defence")
         score, alarm, reconstruction = self.detector.step(obs)
-        denoised = reconstruction if self.denoiser is None else self.denoiser.step(obs)
+        denoised = reconstruction if self.denoiser is None else self.denoiser.step(obs, action)
         if self.budget is not None:
             denoised = self.budget.project(obs, denoised)
         use = torch.ones_like(alarm) if self.always else alarm

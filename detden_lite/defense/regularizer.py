@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from detden_lite.budget import Budget
+from detden_lite.core.budget import Budget
+from detden_lite.core.gradients import value_and_gradient
+from detden_lite.core.random_streams import RandomStreams
 from detden_lite.defense.gruvae import GRUVAE, State
-from detden_lite.draws import Draws
-from detden_lite.gradients import value_and_gradient
-from detden_lite.victims import Victim
+from detden_lite.victims.victim import Victim
 
 
 def euclidean(action: Tensor, reference: Tensor) -> Tensor:
@@ -90,9 +90,9 @@ class Regularizer:
             noise: of the latent, ``[N, steps, latent_dim]``; None takes its mean.
             state: the denoiser's memory at the first observation; None at an episode's beginning.
         """
-        draws = Draws(int(torch.randint(2**31, ())))  # torch's generator is what training seeds, epoch by epoch
+        streams = RandomStreams(int(torch.randint(2**31, ())))
         project, step_size = self.budget.projection(obs), self.budget.epsilon * min(1.0, 2.5 / self.steps)
-        perturbed = project(self.budget.sample(obs.flatten(0, 1), draws).view_as(obs))
+        perturbed = project(self.budget.sample(obs.flatten(0, 1), streams).view_as(obs))
         for _ in range(self.steps):
             _, gradient = value_and_gradient(
                 lambda seen: self.distance(self.action(model, seen, noise, state), reference) * mask, perturbed

@@ -11,11 +11,12 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from detden_lite.defense.augmentation import Trajectories, intermittent
+from detden_lite.core.files import replace_file
+from detden_lite.core.random_streams import derived_seed
+from detden_lite.core.types import Trajectories
+from detden_lite.defense.augmentation import intermittent
 from detden_lite.defense.gruvae import GRUVAE, LEAST_STD, kl_divergence, reconstruction_loss
 from detden_lite.defense.regularizer import Regularizer
-from detden_lite.draws import derived_seed
-from detden_lite.files import replace_file
 
 
 @dataclass(frozen=True)

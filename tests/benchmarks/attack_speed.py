@@ -15,12 +15,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from detden_lite.attacks import OppositeAttack
-from detden_lite.attacks.opposite import opposite_objective
-from detden_lite.budget import Budget
-from detden_lite.planner import CEMPlanner
-from detden_lite.tasks import TASKS
-from detden_lite.victims import Victim
+from detden_lite.attacks.opposite import OppositeAttack, opposite_objective
+from detden_lite.core.budget import Budget
+from detden_lite.core.tasks import TASKS
+from detden_lite.simulation.planner import CEMPlanner
+from detden_lite.victims.victim import Victim
 
 torch.set_num_threads(1)
 STEPS, ROUNDS, ROWS, BATCH, HIDDEN = 20, 5, 100_000, 2_048, 256

@@ -15,14 +15,16 @@ import gymnasium
 import numpy as np
 import torch
 
-from detden_lite import models
-from detden_lite.attacks import OppositeAttack
-from detden_lite.attacks.opposite import opposite_objective
-from detden_lite.budget import Budget
-from detden_lite.defense import GRUVAE, Denoiser, DetectAndDenoise, Detector
-from detden_lite.rollout import rollout
-from detden_lite.tasks import Task, get_task
-from detden_lite.victims import Victim
+from detden_lite.attacks.opposite import OppositeAttack, opposite_objective
+from detden_lite.core.budget import Budget
+from detden_lite.core.tasks import Task, get_task
+from detden_lite.defense.denoiser import Denoiser
+from detden_lite.defense.detector import Detector
+from detden_lite.defense.gruvae import GRUVAE
+from detden_lite.defense.pipeline import DetectAndDenoise
+from detden_lite.simulation.rollout import rollout
+from detden_lite.store import models
+from detden_lite.victims.victim import Victim
 
 torch.set_num_threads(1)
 N, ROUNDS, PGD, BALL = 128, 3, 20, Budget(1e-6)

@@ -14,14 +14,15 @@ import mujoco
 import numpy as np
 import torch
 
-from detden_lite import models
-from detden_lite import rollout as rollout_module
-from detden_lite.attacks import OppositeAttack
-from detden_lite.budget import Budget
-from detden_lite.fast_simulator import make_simulator
-from detden_lite.rollout import Episodes, rollout
-from detden_lite.simulator import Simulator
-from detden_lite.tasks import Task, get_task
+from detden_lite.attacks.opposite import OppositeAttack
+from detden_lite.core.budget import Budget
+from detden_lite.core.tasks import Task, get_task
+from detden_lite.core.types import Episodes
+from detden_lite.simulation import rollout as rollout_module
+from detden_lite.simulation.fast_simulator import make_simulator
+from detden_lite.simulation.rollout import rollout
+from detden_lite.simulation.simulator import Simulator
+from detden_lite.store import models
 
 torch.set_num_threads(1)
 TASK, STEPS, N = get_task("hopper"), 200, 128

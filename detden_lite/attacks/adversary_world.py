@@ -1,0 +1,119 @@
+"""The adversary's world: its action is the perturbation of what a frozen victim sees (section 3.2.1)."""
+
+import numpy as np
+import torch
+from gymnasium.spaces import Box
+from stable_baselines3.common.vec_env import VecEnv
+
+from detden_lite.attacks.optimal import perturb
+from detden_lite.attacks.timing import Always
+from detden_lite.core.budget import Budget
+from detden_lite.core.tasks import Task
+from detden_lite.core.types import Defense, Timing
+from detden_lite.simulation.fast_simulator import make_simulator
+from detden_lite.victims.victim import Victim
+
+
+class AdversaryEnv(VecEnv):
+    """N worlds in lockstep, with one call of the victim a step for all of them, as stable-baselines3 wants them.
+
+    The adversary sees the true observation. Its action in [-1, 1]^obs_dim becomes a perturbation in the ball, and its
+    reward is the victim's, negated. Where the timing says no, the victim sees the truth. A world whose episode has
+    ended begins another one at once, with a seed that no other purpose has (``episode_seeds.SEEDS``); ending at
+    the time limit is a truncation, from where the value function takes over.
+
+    Args:
+        victim: the policy under attack.
+        task: where it acts.
+        budget: the ball.
+        n: how many worlds.
+        timing: when to attack; always by default.
+        defense: what the victim's observations pass through, if anything; see ``detden_lite.defense``.
+        steps: the longest an episode may be; the task's horizon by default.
+    """
+
+    def __init__(
+        self, victim: Victim, task: Task, budget: Budget, n: int, timing: Timing | None = None,
+        defense: Defense | None = None, steps: int | None = None,
+    ):  # fmt: skip
+        self.victim, self.budget, self.timing, self.defense = victim, budget, timing or Always(), defense
+        self.simulator, self.horizon = make_simulator(task.env_id, range(n)), steps or task.horizon
+        everything = Box(-np.inf, np.inf, (task.obs_dim,), np.float32)
+        super().__init__(n, everything, Box(-1.0, 1.0, (task.obs_dim,), np.float32))
+        self.seed(0)
+
+    def seed(self, seed: int | None = None) -> list[int | None]:
+        """Fix the seeds of all episodes to come."""
+        self.generator = np.random.default_rng(seed)
+        return [seed] * self.num_envs
+
+    def _fresh_seed(self) -> int:
+        return int(self.generator.integers(2**32, 2**63))
+
+    def reset(self) -> np.ndarray:
+        """Begin an episode in every world. Returns the true observations ``[N, obs_dim]``."""
+        self.simulator.seeds = [self._fresh_seed() for _ in range(self.num_envs)]
+        for part in (self.timing, self.defense):
+            if part is not None:
+                part.reset(self.simulator.seeds)
+        self.age = np.zeros(self.num_envs, dtype=int)
+        self.obs, self.action = self.simulator.reset(), None
+        return self.obs
+
+    def step_async(self, actions: np.ndarray) -> None:
+        self.actions = torch.from_numpy(np.asarray(actions, dtype=np.float32))
+
+    @torch.no_grad()
+    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict]]:
+        """One step of every world.
+
+        Returns:
+            True observations ``[N, obs_dim]``, those of the next episode where one has ended; the victim's rewards,
+            negated, ``[N]``; whether the episode has ended ``[N]``; and what stable-baselines3 wants to know of that.
+
+        Raises:
+            ValueError: if an action of the victim is not finite.
+        """
+        true = torch.from_numpy(self.obs)
+        shown = torch.where(self.timing(true)[:, None], perturb(self.budget, true, self.actions), true)
+        if self.defense is not None:
+            shown = self.defense(shown, self.action).obs
+        self.action = action = self.victim(shown)
+        if not torch.isfinite(action).all():
+            raise ValueError("an action is NaN or infinite: the training of the adversary has diverged")
+        obs, reward, ended = self.simulator.step(action.numpy())
+        self.age += 1
+        done = ended | (self.age >= self.horizon)
+        infos: list[dict] = [{} for _ in done]
+        for i in np.flatnonzero(done):
+            infos[i] = {"terminal_observation": obs[i].copy(), "TimeLimit.truncated": not ended[i]}
+            obs[i] = self._begin(i)
+        self.obs = obs
+        return obs, -reward, done, infos
+
+    def _begin(self, i: int) -> np.ndarray:
+        """Begin a new episode in one world; the others go on."""
+        seed = self._fresh_seed()
+        self.age[i] = 0
+        if self.defense is not None:
+            self.defense.restart(i, seed)
+            self.action[i] = torch.nan  # there is no action before the first
+        return self.simulator.restart(i, seed)
+
+    def close(self) -> None:
+        for env in self.simulator.envs:
+            env.close()
+
+    def get_attr(self, attr_name: str, indices=None) -> list:
+        return [getattr(self.simulator.envs[i], attr_name) for i in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value, indices=None) -> None:
+        for i in self._get_indices(indices):
+            setattr(self.simulator.envs[i], attr_name, value)
+
+    def env_method(self, method_name: str, *method_args, indices=None, **method_kwargs) -> list:
+        envs = [self.simulator.envs[i] for i in self._get_indices(indices)]
+        return [getattr(env, method_name)(*method_args, **method_kwargs) for env in envs]
+
+    def env_is_wrapped(self, wrapper_class, indices=None) -> list[bool]:
+        return [False for _ in self._get_indices(indices)]

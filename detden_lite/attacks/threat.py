@@ -1,0 +1,46 @@
+"""The settings of an attacker that all cells of a victim share."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from detden_lite.attacks.catalogue import CATALOGUE, TIMINGS
+from detden_lite.attacks.timing import Always, Random, Vulnerable
+from detden_lite.core.budget import Budget
+from detden_lite.core.tasks import Task
+from detden_lite.core.types import Attack, Timing
+from detden_lite.victims.victim import Victim
+
+
+@dataclass(frozen=True)
+class Threat:
+    """The attacker's settings that all cells of a victim share."""
+
+    budget: Budget
+    steps: int = 20
+    restarts: int = 1
+    c_vul: float = -np.inf  # threshold of the vulnerable timing
+    rate: float = 1.0  # of the random timing
+    planner: Mapping[str, int] = field(default_factory=dict)  # arguments of ``CEMPlanner``
+    adversaries: Mapping[str, Victim] = field(default_factory=dict)  # "optimal", "linear": ``models.load_adversary``
+    adaptive: Mapping[str, int] = field(default_factory=dict)  # arguments of ``AdaptiveAttack``, for its variants too
+
+    def attack(self, name: str, victim: Victim, task: Task) -> Attack | None:
+        """The attack of this name, or None for "none"; a ValueError that lists the names otherwise."""
+        if name == "none":
+            return None
+        if name not in CATALOGUE:
+            raise ValueError(f"attack must be none or one of {', '.join(CATALOGUE)}, not {name!r}")
+        return CATALOGUE[name].make(self, victim, task)
+
+    def timing(self, name: str, victim: Victim) -> Timing:
+        """The timing of this name."""
+        match name:
+            case "always":
+                return Always()
+            case "vulnerable":
+                return Vulnerable(victim, self.c_vul)
+            case "random":
+                return Random(self.rate)
+        raise ValueError(f"timing must be one of {', '.join(TIMINGS)}, not {name!r}")

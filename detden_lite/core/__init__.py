@@ -1,0 +1,1 @@
+"""What every room needs: types and contracts, tasks, the ball, gradient ascent, networks, random numbers, metrics."""

@@ -1,0 +1,85 @@
+"""Projected gradient ascent in the ball: FGSM (Goodfellow et al., 2015) is one step, PGD (Madry et al., 2018) more."""
+
+from collections.abc import Callable
+from functools import partial
+
+import torch
+from torch import Tensor
+
+from detden_lite.core.budget import Budget
+from detden_lite.core.gradients import value_and_gradient
+from detden_lite.core.random_streams import RandomStreams
+
+
+def ascend(
+    objective: Callable[[Tensor], Tensor],
+    obs: Tensor,
+    budget: Budget,
+    streams: RandomStreams | None,
+    steps: int = 20,
+    step_size: float | None = None,
+    restarts: int = 1,
+    wanted: Tensor | None = None,
+) -> Tensor:
+    """The perturbed observations in B(obs) with the largest objective that was met on the way.
+
+    Args:
+        objective: maps perturbed observations ``[n, obs_dim]`` to values ``[n]``, row by row. If it has a method
+            ``value_and_gradient`` (see ``detden_lite.gradients``) this is asked for the gradient, otherwise autograd.
+        obs: true observations ``[N, obs_dim]``.
+        budget: the ball.
+        streams: where random starts come from; None starts at ``obs`` itself, which is a stationary point of some
+            objectives (the opposite attack's among them).
+        steps: gradient steps of each restart.
+        step_size: length of a step in the budget's norm; by default 2.5 epsilon / steps, and epsilon for one step.
+        restarts: how many starts are tried.
+        wanted: which of the N rows to perturb, ``[N]`` bool; by default all. ``objective`` sees only these. All rows
+            draw their random starts, so that what is wanted changes nobody's.
+
+    Returns:
+        ``[N, obs_dim]``, inside the ball. As the best point met is kept, row by row, more restarts are never weaker.
+    """
+    if steps < 1 or restarts < 1:
+        raise ValueError(f"steps and restarts must be at least 1, not {steps} and {restarts}")
+    if step_size is None:
+        step_size = budget.epsilon * (2.5 / steps if steps > 1 else 1.0)
+    starts = [budget.sample(obs, streams) if streams is not None else obs for _ in range(restarts)]
+    if wanted is not None and not wanted.all():
+        found = obs.clone()
+        if wanted.any():
+            chosen = [start[wanted] for start in starts]
+            found[wanted] = _climb(objective, obs[wanted], budget, chosen, steps, step_size)
+        return found
+    return _climb(objective, obs, budget, starts, steps, step_size)
+
+
+def _climb(objective, obs: Tensor, budget: Budget, starts: list[Tensor], steps: int, step_size: float) -> Tensor:
+    slope = getattr(objective, "value_and_gradient", None) or partial(value_and_gradient, objective)
+    best = Best(obs)
+    project = budget.projection(obs)
+    for start in starts:
+        x = project(start)
+        for _ in range(steps):
+            value, gradient = slope(x)
+            best.meet(x, value)
+            x = project(x.add(budget.steepest(gradient), alpha=step_size))
+        with torch.no_grad():
+            best.meet(x, objective(x))
+    return best.point
+
+
+class Best:
+    """The best point met so far, row by row.
+
+    Args:
+        point: ``[n, obs_dim]``, which any value above minus infinity beats.
+    """
+
+    def __init__(self, point: Tensor):
+        self.point, self.value = point, torch.full(point.shape[:1], -torch.inf, dtype=point.dtype)
+
+    def meet(self, point: Tensor, value: Tensor) -> None:
+        """Keep the rows of ``point`` ``[n, obs_dim]`` whose value ``[n]`` is above those kept."""
+        better = value > self.value
+        self.point = torch.where(better[:, None], point, self.point)
+        self.value = torch.where(better, value, self.value)

@@ -1,0 +1,64 @@
+"""The list of defences: how each is trained, and which are assembled from parts."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+PARTS = ("adversarial", "qfunction")  # of D_adv: attacked offline by the opposite and by the Q-function attack
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A defence as it is trained.
+
+    Args:
+        data: the exploration in its D_normal, a key of ``DATASETS``.
+        adversarial: the parts of D_adv that its denoiser is trained on, among ``PARTS``.
+        recipe: what its denoiser changes in the scale's ``VAERecipe``.
+    """
+
+    data: str
+    adversarial: tuple[str, ...] = ("adversarial",)
+    recipe: Mapping[str, object] = field(default_factory=dict)
+
+
+DATASETS = {"plain": (0.0,), "diverse": (0.0, 0.1, 0.2, 0.3)}
+
+MIXED = dict(residual=True, least_share=0.2, least_size=0.5)  # real attackers come and go, and hold back
+
+VARIANTS = {
+    "printed": Variant("plain"),
+    "diverse": Variant("diverse"),
+    "residual": Variant("diverse", recipe=dict(residual=True)),
+    "paper": Variant("plain", PARTS),
+    "both": Variant("diverse", PARTS, dict(residual=True)),
+    "mixed": Variant("diverse", PARTS, MIXED),
+    "regularized": Variant("diverse", PARTS, MIXED | dict(lam=0.1)),
+    "standard-prior": Variant("diverse", PARTS, MIXED | dict(prior="standard")),
+}
+
+MAIN = "mixed"  # the defence of the tables
+
+ABLATIONS = {  # of the main defence: what each changes in it
+    "always": "denoises at every step, whatever the detector says",
+    "detector-only": "shows the detector's own reconstruction: there is no denoiser",
+    "latent-mean": "takes the latent's mean instead of a sample",
+    "projected": "projects what is denoised into B(o_hat), which takes knowing epsilon",
+    "tuned": "the paper's threshold, tuned on attacked episodes",
+}
+
+BASELINES = {  # what replaces one of its networks
+    "identity": "a denoiser that does nothing",
+    "kalman": "a Kalman filter as denoiser",
+    "autoencoder": "a denoising auto-encoder without memory as denoiser",
+    "mahalanobis": "a Gaussian of all observations as detector",
+    "prediction": "a linear one-step prediction as detector",
+}
+
+CEILINGS = {
+    "oracle-detector": "a detector that knows the truth",
+    "oracle-denoiser": "a denoiser that knows the truth",
+}
+
+EXPLAINING = ("always", "projected", *CEILINGS)  # what tells which part of a defence falls short
+
+ASSEMBLED = ABLATIONS | BASELINES | CEILINGS

@@ -1,0 +1,1 @@
+"""The stages that make data/, their sizes, and the command line."""

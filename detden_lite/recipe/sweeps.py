@@ -1,0 +1,133 @@
+"""Two sweeps of one victim: what an attack does at each size of the ball, and what planning costs and brings."""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+
+import numpy as np
+from tqdm import tqdm
+
+from detden_lite.attacks.enchanting import EnchantingAttack
+from detden_lite.attacks.threat import Threat
+from detden_lite.attacks.timing import After
+from detden_lite.core.budget import Budget
+from detden_lite.core.estimates import estimate
+from detden_lite.core.tasks import Task
+from detden_lite.recipe.episode_seeds import seeds
+from detden_lite.recipe.run import Run
+from detden_lite.simulation.planner import CEMPlanner
+from detden_lite.simulation.rollout import rollout
+from detden_lite.store import manifest
+from detden_lite.victims.victim import Victim
+
+SIZES = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0)  # of the ball, in units of the task's epsilon
+
+
+def over_sizes(
+    task: Task,
+    victim: Victim,
+    threat: Threat,
+    episode_seeds: Sequence[int],
+    attacks: Sequence[str] = ("uniform", "opposite", "qfunction"),
+    sizes: Sequence[float] = SIZES,
+    steps: int | None = None,
+    defense=None,
+) -> dict:
+    """Attack always, at several sizes of the ball.
+
+    Args:
+        task: where.
+        victim: whom.
+        threat: the attacker's settings; ``sizes`` multiply the radius of its budget.
+        episode_seeds: one an episode; the same for all sizes and attacks.
+        attacks: names of attacks that ``threat`` knows.
+        sizes: factors of the radius.
+        steps: the longest an episode may be; the task's horizon by default.
+        defense: what stands before the policy; None for nothing.
+
+    Returns:
+        Ready for JSON: for each attack a row for each size, with the returns of all episodes.
+    """
+    found = {attack: [] for attack in attacks}
+    with tqdm(total=len(attacks) * len(sizes), desc="sizes of the ball", unit="run") as bar:
+        for attack in attacks:
+            for size in sizes:
+                budget = replace(threat.budget, epsilon=size * threat.budget.epsilon)
+                made = replace(threat, budget=budget).attack(attack, victim, task)
+                returns = rollout(victim, task, episode_seeds, attack=made, defense=defense, steps=steps).returns
+                found[attack].append(dict(epsilon=budget.epsilon, **_of(returns)))
+                bar.update()
+    return dict(attacks=found, seeds=[int(episode_seeds[0]), len(episode_seeds)])
+
+
+def over_planners(
+    task: Task,
+    victim: Victim,
+    budget: Budget,
+    episode_seeds: Sequence[int],
+    planners: Sequence[Mapping[str, int]],
+    begin: int = 125,
+    steps: int | None = None,
+) -> dict:
+    """The enchanting attack with several planners, on a robot that is on its way already.
+
+    Args:
+        task: where.
+        victim: whom.
+        budget: the ball.
+        episode_seeds: one an episode; the same for all planners.
+        planners: the arguments of each ``CEMPlanner``.
+        begin: the first step that is attacked.
+        steps: the longest an episode may be; the task's horizon by default.
+
+    Returns:
+        Ready for JSON: a row for each planner, with the returns of all episodes, how many steps each lived under attack
+        and how many plans the planner makes in a second of CPU time.
+    """
+    rows = []
+    for settings in tqdm(planners, desc="planners", unit="planner"):
+        planner = _Timed(task.env_id, **settings)
+        episodes = rollout(
+            victim, task, episode_seeds, attack=EnchantingAttack(victim, budget, planner), timing=After(begin),
+            steps=steps,
+        )  # fmt: skip
+        lived = (episodes.attacked & episodes.mask).sum(0)
+        speed = planner.plans / planner.seconds
+        rows.append(dict(settings, plans_per_second=speed, lived=lived.tolist(), **_of(episodes.returns)))
+    return dict(rows=rows, begin=begin, seeds=[int(episode_seeds[0]), len(episode_seeds)])
+
+
+class _Timed(CEMPlanner):
+    """A planner that counts its plans and the CPU time that they take."""
+
+    plans, seconds = 0, 0.0
+
+    def plan(self, envs: Sequence, wanted: np.ndarray) -> np.ndarray:
+        start = time.process_time()
+        first = super().plan(envs, wanted)
+        self.plans, self.seconds = self.plans + int(wanted.sum()), self.seconds + time.process_time() - start
+        return first
+
+
+def _of(returns: np.ndarray) -> dict:
+    return dict(estimate=asdict(estimate(returns)), returns=returns.tolist())
+
+
+def epsilon(run: Run) -> None:
+    """The stage: ``epsilon.json`` of a run, on report episodes."""
+    path = run.folder / "epsilon.json"
+    if not manifest.is_made(path, run.root):
+        episodes = seeds("report", run.scale.episodes)
+        found = over_sizes(run.task, run.victim(), run.untimed_threat, episodes, steps=run.scale.horizon)
+        manifest.write_json(path, found, run.root)
+
+
+def planning(run: Run) -> None:
+    """The stage: ``planning.json`` of a run, on tuning episodes, since a planner may be chosen by it."""
+    path = run.folder / "planning.json"
+    if not manifest.is_made(path, run.root):
+        begin, episodes = min(125, run.scale.horizon // 2), seeds("tuning", min(32, run.scale.episodes))
+        found = over_planners(
+            run.task, run.victim(), run.budget, episodes, run.scale.planners, begin, run.scale.horizon
+        )  # fmt: skip
+        manifest.write_json(path, found, run.root)

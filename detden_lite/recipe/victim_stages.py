@@ -1,0 +1,74 @@
+"""Stages that train, choose and complete a victim. Each makes what is missing, so that running it again resumes it."""
+
+from dataclasses import asdict
+
+import numpy as np
+
+from detden_lite.core import estimates
+from detden_lite.recipe import episode_seeds
+from detden_lite.recipe.run import Run
+from detden_lite.simulation import training_worlds
+from detden_lite.simulation.rollout import rollout
+from detden_lite.store import manifest, models, tensors
+from detden_lite.victims import critic, selection
+from detden_lite.victims.victim import Victim
+
+
+def train_victim(run: Run, seed: int) -> None:
+    """Train one seed; its snapshots are kept in the run's checkpoints."""
+    training_worlds.train_victim(run.task, run.scale.victim, seed, run.folder / "checkpoints" / f"victim-{seed}")
+
+
+def select_victim(run: Run) -> None:
+    """Choose among all snapshots of all seeds, and ship the chosen one with its evaluation on fresh episodes.
+
+    Screening takes 5 episodes; see ``selection.choose``. The chosen one is evaluated once on the report's episodes. If
+    another was shipped before, what was made of that one is removed.
+    """
+    folders = sorted((run.folder / "checkpoints").glob("victim-*"))
+    if not any(any((folder / "snapshots").glob("*.safetensors")) for folder in folders):
+        raise ValueError(f"{run.folder / 'checkpoints'} holds no snapshot of a victim; run the victim stage first")
+    episodes = dict(screening=5, selection=run.scale.episodes, report=run.scale.episodes)
+
+    def returns(victim: Victim, purpose: str) -> np.ndarray:
+        return rollout(
+            victim, run.task, episode_seeds.seeds(purpose, episodes[purpose]), steps=run.scale.horizon
+        ).returns
+
+    chosen = selection.choose(
+        run.task, type(run.scale.victim), folders, lambda victim, purpose: float(returns(victim, purpose).mean())
+    )
+    reported = returns(chosen.policy, "report")
+    sidecar = dict(
+        task=run.task.name,
+        env_id=run.task.env_id,
+        algo=run.algo,
+        trained_with="sbx-rl",
+        recipe=chosen.recipe,
+        step=chosen.step,
+        selection_mean=chosen.selection,
+        returns=reported.tolist(),
+        estimate=asdict(estimates.estimate(reported)),
+        learning_curves=[
+            dict(seed=curve["recipe"]["seed"], steps=curve["steps"], mean=curve["mean"]) for curve in chosen.curves
+        ],
+    )
+    run.forget_others(chosen.policy)
+    models.save_victim(run.task.name, run.algo, chosen.policy, sidecar, run.root)
+
+
+def learn_q(run: Run, seed: int = 0) -> None:
+    """Learn the Q-function of a PPO victim from clean episodes; a TD3 victim has its critics already."""
+    if run.algo == "td3":
+        raise ValueError("a TD3 victim has critics of its own; the qfunction stage is for PPO")
+    recipe, victim, horizon = run.scale.critic, run.victim(), run.scale.horizon
+    episodes = rollout(
+        victim, run.task, episode_seeds.seeds("critic", recipe.episodes), action_noise=critic.policy_noise(victim),
+        steps=horizon, progress=f"clean episodes of {run.task.name}",
+    )  # fmt: skip
+    net, fit = critic.learn_q(victim, run.task, recipe, episodes, horizon, seed)
+    sidecar = dict(
+        critic=recipe.sizes(run.task), activation="relu", recipe=asdict(recipe), seed=seed, fit=asdict(fit),
+        versions=manifest.versions(),
+    )  # fmt: skip
+    tensors.save_tensors(run.folder / "critic.safetensors", net.state_dict(), sidecar, run.root)

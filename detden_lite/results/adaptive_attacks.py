@@ -1,0 +1,69 @@
+"""What attackers who know the defence leave: their records, beside those of the attacks that do not know it (Q5)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from detden_lite.attacks.catalogue import CATALOGUE
+from detden_lite.defense.variants import MAIN
+from detden_lite.results import cells, defended_victims, records
+from detden_lite.results.bare_victims import failed
+from detden_lite.results.defended_victims import Share
+from detden_lite.store import manifest
+
+# The victims whose defence is attacked by who knows it.
+ADAPTED_ROWS = (("hopper", "td3"), ("halfcheetah", "td3"), ("hopper", "ppo"), ("halfcheetah", "ppo"))
+
+
+@dataclass(frozen=True)
+class AwareAttack:
+    """An adaptive attack beside the attack that does not know the defence, on the same defended victim."""
+
+    attack: str  # one of ``catalogue.ADAPTIVE``
+    unaware: str  # one of ``catalogue.FOUR``
+    record: Mapping  # of the adaptive attack
+    change: Share | None  # of the return, by knowing the defence; None if the unaware one leaves no return at all
+    failed: bool  # it leaves more than the unaware one, beyond chance: see ``bare_victims.failed``
+
+
+def load_adaptive(task: str, algo: str, defense: str = MAIN, root: Path = manifest.DATA) -> dict[tuple[str, str], dict]:
+    """The records of the adaptive attacks on a victim with this defence that are there, by (attack, "always").
+
+    Raises:
+        ArtifactError: if one of them is altered.
+    """
+    return records.load_cells(cells.adaptive_cells(defense), task, algo, root)
+
+
+def change(adaptive: Mapping, plain: Mapping) -> Share | None:
+    """By which part of it an attack's return changes if the attacker knows the defence, as table 4 of the paper has it.
+
+    Both are of the same episodes, and the interval's episodes are drawn with both of their returns.
+
+    Args:
+        adaptive: the record of the attack that knows the defence.
+        plain: the record of the one that does not; None comes back if its mean return is not above 0.
+
+    Raises:
+        ValueError: if the two do not begin with the same episode.
+    """
+    if plain["estimate"]["mean"] <= 0:
+        return None
+    part = defended_victims.of_clean(adaptive, plain)
+    return Share(part.mean - 1, part.low - 1, part.high - 1)
+
+
+def compare(adaptive: Mapping[tuple[str, str], Mapping], plain: Mapping[tuple[str, str], Mapping]) -> list[AwareAttack]:
+    """Every adaptive attack whose unaware one has a record, too.
+
+    Args:
+        adaptive: from ``load_adaptive``.
+        plain: from ``defended_victims.load_defended``, of the same victim and defence.
+    """
+    found = []
+    for (attack, timing), record in adaptive.items():
+        if other := plain.get((CATALOGUE[attack].unaware, timing)):
+            found.append(
+                AwareAttack(attack, CATALOGUE[attack].unaware, record, change(record, other), failed(record, other))
+            )
+    return found

@@ -1,0 +1,61 @@
+"""The cells of the tables: which victim meets which attack, when, with which defence."""
+
+from dataclasses import dataclass
+
+from detden_lite.attacks import catalogue
+from detden_lite.defense.variants import MAIN, VARIANTS
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What is done to whom. The names are those of the book's tables.
+
+    Args:
+        attack: "none", or one of ``ATTACKS``; with a defence also one of ``ADAPTIVE``.
+        timing: one of ``TIMINGS``.
+        defense: "none", or the name of a shipped defence.
+    """
+
+    attack: str = "none"
+    timing: str = "always"
+    defense: str = "none"
+
+    def record_name(self, task: str, algo: str) -> str:
+        """The record's file name without its ending."""
+        return ".".join([f"{task}-{algo}", self.attack, self.timing, self.defense])
+
+
+def table_cells(defenses=("none", MAIN)) -> list[Cell]:
+    """The cells of the tables, one defence after the other; "none" is the bare victim.
+
+    The main defence meets all four attacks, the linear adversary and noise; other trained ones those of the four that
+    need no planner; and assembled ones the opposite attack, which the denoiser has seen, and the optimal one, which it
+    has not.
+    """
+    both = ("always", "vulnerable")
+    found = []
+    for name in defenses:
+        found.append(Cell(defense=name))
+        if name == "none":
+            found += [Cell(attack) for attack in (*catalogue.CONTROLS, "linear")]
+            found += [Cell(attack, timing) for attack in catalogue.FOUR for timing in both]
+            found += [Cell("opposite", "random")]
+        elif name in VARIANTS:
+            attacks = catalogue.FOUR if name == MAIN else ("opposite", "qfunction", "optimal")
+            found += [Cell(attack, timing, name) for attack in attacks for timing in both]
+            found += [Cell(attack, "always", name) for attack in ("linear", "uniform") if name == MAIN]
+        else:
+            found += [Cell(attack, "always", name) for attack in ("opposite", "optimal")]
+    return found
+
+
+RESIDUAL_OR_NOT = ("diverse", "residual")  # two variants that differ in the denoiser's residual output alone
+
+
+def adaptive_cells(defense: str = MAIN) -> list[Cell]:
+    """The cells of the attacks that know the defence: always, since who fears them asks for the worst.
+
+    The main defence meets all of them, and the two of ``RESIDUAL_OR_NOT`` one: is a residual output a path?
+    """
+    attacks = dict.fromkeys(RESIDUAL_OR_NOT, ("adaptive-opposite",)) | {MAIN: catalogue.ADAPTIVE}
+    return [Cell(attack, "always", defense) for attack in attacks.get(defense, ())]

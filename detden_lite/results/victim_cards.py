@@ -1,0 +1,113 @@
+"""The data cards of the victims: what data/ says of each, beside what the paper and others say of theirs."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from detden_lite.core import files
+from detden_lite.core.estimates import Estimate
+from detden_lite.core.tasks import Task, get_task
+from detden_lite.results.paper import ROWS
+from detden_lite.store import manifest
+
+
+@dataclass(frozen=True)
+class LearningCurve:
+    """The learning curve of one seed: mean return of the screening episodes at each snapshot."""
+
+    seed: int
+    steps: np.ndarray  # environment steps
+    mean: np.ndarray
+
+
+@dataclass(frozen=True)
+class VictimCard:
+    """What data/ says of a victim."""
+
+    task: Task
+    algo: str
+    returns: np.ndarray  # of the report episodes
+    estimate: Estimate
+    curves: tuple[LearningCurve, ...]  # of every seed that was trained
+    seed: int  # the chosen snapshot's
+    step: int  # the chosen snapshot's, environment steps
+    selection_mean: float  # by which it was chosen
+    recipe: Mapping[str, object]  # hyperparameters of the training
+    config: Mapping[str, object]  # shapes of the networks
+    versions: Mapping[str, str]
+    fit: Mapping[str, float] | None  # of the learned Q-function; None for TD3, which has critics of its own
+
+    @property
+    def name(self) -> str:
+        """How data/ calls it: "hopper-td3"."""
+        return f"{self.task.name}-{self.algo}"
+
+    @property
+    def title(self) -> str:
+        """How the book calls it: "Hopper, TD3"."""
+        return title(self.task.name, self.algo)
+
+    @property
+    def steps(self) -> int:
+        """Environment steps that each seed was trained for; of the longest, if they differ."""
+        return int(max(curve.steps[-1] for curve in self.curves))
+
+
+def title(task: str, algo: str) -> str:
+    """How the book calls a victim: "Hopper, TD3"."""
+    return f"{get_task(task).env_id.removesuffix('-v5')}, {algo.upper()}"
+
+
+def load_card(task: str, algo: str, root: Path = manifest.DATA) -> VictimCard:
+    """The card of a shipped victim.
+
+    Raises:
+        ArtifactError: if it is not shipped, altered, or lacks an entry.
+    """
+    path = root / f"{task}-{algo}" / "victim.json"
+    about, critic = manifest.read_json(path, root), path.with_name("critic.json")
+    try:
+        recipe = {key: value for key, value in about["recipe"].items() if key not in ("task", "seed")}
+        return VictimCard(
+            task=get_task(task),
+            algo=algo,
+            returns=np.array(about["returns"]),
+            estimate=Estimate(**about["estimate"]),
+            curves=tuple(
+                LearningCurve(curve["seed"], np.array(curve["steps"]), np.array(curve["mean"]))
+                for curve in about["learning_curves"]
+            ),
+            seed=about["recipe"]["seed"],
+            step=about["step"],
+            selection_mean=about["selection_mean"],
+            recipe=recipe,
+            config=about["config"],
+            versions=about["versions"],
+            fit=manifest.read_json(critic, root)["fit"] if critic.exists() else None,
+        )
+    except (KeyError, TypeError) as error:
+        raise files.ArtifactError(f"{path} is no victim's card ({error!r}); make it with its recipe") from None
+
+
+def load_cards(root: Path = manifest.DATA) -> dict[tuple[str, str], VictimCard]:
+    """The cards of the paper's victims that are shipped, by (task, algorithm), in the order of ``ROWS``."""
+    return {row: load_card(*row, root) for row in ROWS if (root / "-".join(row) / "victim.json").exists()}
+
+
+def live(obs: np.ndarray, parts: Mapping[str, int]) -> dict[str, tuple[int, int]]:
+    """How many observations of each part change at all.
+
+    Args:
+        obs: ``[rows, obs_dim]``, seen in episodes.
+        parts: how many observations each part has, in their order, ``obs_dim`` in all.
+
+    Returns:
+        For each part how many change, and how many there are.
+    """
+    if sum(parts.values()) != obs.shape[1]:
+        raise ValueError(f"parts: they have {sum(parts.values())} observations in all, and obs has {obs.shape[1]}")
+    changes = np.ptp(obs, axis=0) > 0
+    ends = np.cumsum(list(parts.values()))
+    return {part: (int(changes[end - n : end].sum()), n) for (part, n), end in zip(parts.items(), ends, strict=True)}

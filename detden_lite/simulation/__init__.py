@@ -1,0 +1,1 @@
+"""Worlds of one task stepped together, planning in them, and rollouts."""

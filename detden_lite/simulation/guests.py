@@ -1,0 +1,96 @@
+"""What ``rollout`` asks of its guests, the attack, the timing and the defence, before and at the first step.
+
+They are checked once: a guest that keeps its contract at the first step is trusted with the others.
+"""
+
+from collections.abc import Sequence
+from numbers import Integral
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from detden_lite.core.types import KNOWLEDGE, Verdict
+
+
+def check_guests(attack: object, timing: object, defense: object) -> None:
+    """Whether they have the methods of their contracts in ``detden_lite.core.types``; None is no guest.
+
+    Raises:
+        ValueError: names the argument and what it lacks.
+    """
+    for name, guest, methods in (
+        ("attack", attack, ("needs", "reset", "__call__")),
+        ("timing", timing, ("reset", "__call__")),
+        ("defense", defense, ("reset", "restart", "__call__")),
+    ):
+        if guest is not None and (lacks := [m for m in methods if not hasattr(guest, m)]):
+            article = "an attack such as OppositeAttack(victim, budget)" if name == "attack" else f"a {name} object"
+            raise ValueError(f"{name}: {guest!r} has no {' and no '.join(lacks)}; give {article}")
+    if unknown := sorted(set(getattr(attack, "needs", ())) - set(KNOWLEDGE)):
+        raise ValueError(f"attack: it needs {', '.join(unknown)}; an attack can need {', '.join(KNOWLEDGE)}")
+    if "defense" in getattr(attack, "needs", ()) and defense is None:
+        raise ValueError("attack: it needs a defense to adapt to; give one, or the attack that does not know it")
+
+
+def check_seeds(seeds: Sequence[int]) -> None:
+    """Whether they are whole numbers of at least 0, one at least."""
+    if not len(seeds):
+        raise ValueError("seeds is empty: give one seed for each episode")
+    if wrong := [seed for seed in seeds if not isinstance(seed, Integral) or seed < 0]:
+        raise ValueError(f"seeds: each must be a whole number of at least 0, not {wrong[0]!r}")
+
+
+def check_horizon(steps: int | None, name: str = "steps") -> None:
+    """Whether a number of steps is None or at least 1."""
+    if steps is not None and (not isinstance(steps, Integral) or steps < 1):
+        raise ValueError(f"{name} must be a whole number of at least 1, or None for the task's horizon, not {steps!r}")
+
+
+def check_noise(action_noise: float | np.ndarray | Tensor) -> Tensor:
+    """The exploration noise as ``[1 or N, 1 or action_dim]``; it must be finite and at least 0."""
+    noise = torch.as_tensor(action_noise, dtype=torch.float32)
+    if not (noise.isfinite() & (noise >= 0)).all():
+        raise ValueError(f"action_noise must be finite and at least 0 everywhere, not {action_noise}")
+    return noise if noise.ndim == 2 else noise.reshape(-1, 1)
+
+
+def check_timing(attacked: Tensor, n: int) -> None:
+    """1_vul at the first step: ``[N]`` bool."""
+    _check("timing", "it says when to attack with", attacked, (n,), torch.bool)
+
+
+def check_perturbed(attack: object, perturbed: Tensor, true: Tensor, wanted: Tensor) -> None:
+    """An attack's answer at the first step, and that it keeps its own budget on the rows that are wanted."""
+    _check("attack", "it gives", perturbed, tuple(true.shape), torch.float32)
+    rows = perturbed[wanted]
+    if not rows.isfinite().all():
+        raise ValueError("attack: it gives NaN or infinity at the first step")
+    budget = getattr(attack, "budget", None)
+    if budget is None or not len(rows):
+        return
+    size, true = budget.size(true[wanted], rows), true[wanted]
+    rounding = 4e-7 * ((true.abs() + rows.abs()) / budget.scale).sum(-1) + 1e-5 * budget.epsilon + 1e-6
+    if (size > budget.epsilon + rounding).any():
+        raise ValueError(
+            f"attack: {type(attack).__name__} leaves its ball: {size.max():.4g} from the truth, with epsilon = "
+            f"{budget.epsilon}; project what it gives with budget.project"
+        )
+
+
+def check_verdict(verdict: Verdict, shown: Tensor) -> None:
+    """A defence's answer at the first step."""
+    if not isinstance(verdict, Verdict):
+        raise ValueError(f"defense: it gives {type(verdict).__name__}, and must give a detden_lite.Verdict")
+    n, shape = len(shown), tuple(shown.shape)
+    _check("defense", "verdict.obs is", verdict.obs, shape, torch.float32)
+    _check("defense", "verdict.denoised is", verdict.denoised, shape, torch.float32)
+    _check("defense", "verdict.alarm is", verdict.alarm, (n,), torch.bool)
+    _check("defense", "verdict.score is", verdict.score, (n,), torch.float32)
+
+
+def _check(name: str, what: str, value: object, shape: tuple[int, ...], dtype: torch.dtype) -> None:
+    if not isinstance(value, Tensor):
+        raise ValueError(f"{name}: {what} {type(value).__name__}, and must be a tensor {list(shape)} {dtype}")
+    if tuple(value.shape) != shape or value.dtype != dtype:
+        raise ValueError(f"{name}: {what} {list(value.shape)} {value.dtype}, and must be {list(shape)} {dtype}")

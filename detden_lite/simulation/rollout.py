@@ -1,0 +1,127 @@
+"""N episodes in lockstep, attacked and defended: the loop in which everything meets (figure 2 of the paper)."""
+
+import copy
+from collections.abc import Sequence
+from dataclasses import fields
+
+import numpy as np
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from detden_lite.core.random_streams import RandomStreams
+from detden_lite.core.tasks import Task
+from detden_lite.core.types import Attack, Defense, Episodes, Timing, World
+from detden_lite.simulation import guests
+from detden_lite.simulation.fast_simulator import make_simulator
+from detden_lite.victims.victim import Victim
+
+
+@torch.no_grad()
+def rollout(
+    victim: Victim,
+    task: Task,
+    seeds: Sequence[int],
+    *,
+    attack: Attack | None = None,
+    timing: Timing | None = None,
+    defense: Defense | None = None,
+    action_noise: float | np.ndarray | Tensor = 0.0,
+    steps: int | None = None,
+    progress: str | None = None,
+) -> Episodes:
+    """Run one episode for each seed, with one call of each network a step for all of them.
+
+    Args:
+        victim: the policy.
+        task: where it acts.
+        seeds: one an episode; they fix the start, and every random number of attack and defence in that episode.
+        attack: see ``detden_lite.attacks``; None for clean episodes.
+        timing: when to attack; None for always.
+        defense: see ``detden_lite.defense``; None for a bare policy. Only one that ``needs`` the truth, an oracle, is
+            told it.
+        action_noise: standard deviation of Gaussian noise on the actions, in units of half their range; a number, one
+            for each episode ``[N]``, or one for each of their actions ``[N, action_dim]``.
+        steps: the longest an episode may be; the task's horizon by default.
+        progress: text of a progress bar, None for no bar.
+
+    Returns:
+        What happened, step by step; see ``Episodes``.
+
+    Raises:
+        ValueError: if the victim is of another task; if a seed, the noise or the steps are none; if attack, timing or
+            defence break their contract (``detden_lite.core.types``) before or at the first step; or if an action is
+            not finite.
+
+    Example:
+        >>> from detden_lite import Budget, OppositeAttack, get_task, load_victim, rollout
+        >>> victim, task = load_victim("hopper", "td3"), get_task("hopper")
+        >>> attack = OppositeAttack(victim, Budget(task.epsilon))
+        >>> rollout(victim, task, range(2), attack=attack, steps=5).returns.shape
+        (2,)
+    """
+    if (victim.obs_dim, victim.action_dim) != (task.obs_dim, task.action_dim):
+        raise ValueError(
+            f"victim: it maps {victim.obs_dim} observations to {victim.action_dim} actions, "
+            f"but {task.env_id} has {task.obs_dim} and {task.action_dim}; give the victim of this task"
+        )
+    guests.check_seeds(seeds)
+    guests.check_horizon(steps)
+    guests.check_guests(attack, timing, defense)
+    noise_size = guests.check_noise(action_noise)
+    simulator = make_simulator(task.env_id, seeds)
+    n = len(seeds)
+    for guest in (attack, timing, defense):
+        if guest is not None:
+            guest.reset(simulator.seeds)
+    needs = attack.needs if attack is not None else frozenset()
+    exploration = RandomStreams(1, simulator.seeds)
+    half_range = (victim.action_high - victim.action_low) / 2
+
+    nothing, everyone = torch.zeros(n, dtype=torch.bool), torch.ones(n, dtype=torch.bool)
+    no_score = torch.zeros(n)
+    history: dict[str, list] = {f.name: [] for f in fields(Episodes)[1:]}
+    obs, action = simulator.reset(), None
+    for step in tqdm(range(steps or task.horizon), desc=progress, disable=progress is None, unit="step", leave=False):
+        true = torch.from_numpy(obs)
+        row = dict(mask=simulator.alive.copy(), state=simulator.state().astype(np.float32), obs=obs)
+        attacked, perturbed = nothing, true
+        if attack is not None:
+            attacked = everyone if timing is None else timing(true)
+            if step == 0:
+                guests.check_timing(attacked, n)
+            world = World(
+                attacked.numpy() & simulator.alive,
+                simulator if "simulator" in needs else None,
+                copy.deepcopy(defense) if "defense" in needs else None,
+                action,
+            )
+            found = attack(true, world)
+            if step == 0:
+                guests.check_perturbed(attack, found, true, attacked)
+            perturbed = torch.where(attacked[:, None], found, true)
+        shown, alarm, score, denoised = perturbed, nothing, no_score, perturbed
+        if defense is not None:
+            if "truth" in getattr(defense, "needs", ()):
+                defense.reveal(true, attacked)
+            verdict = defense(perturbed, action)
+            if step == 0:
+                guests.check_verdict(verdict, perturbed)
+            shown, alarm, score, denoised = verdict.obs, verdict.alarm, verdict.score, verdict.denoised
+        action = victim(shown)
+        if noise_size.any():
+            noisy = action + noise_size * half_range * exploration.normal(*action.shape)
+            action = noisy.clamp(victim.action_low, victim.action_high)
+        if not torch.isfinite(action).all():  # MuJoCo itself would only write a warning and go on
+            raise ValueError("an action is NaN or infinite: look for the first such number in what the policy saw")
+        obs, reward, _ = simulator.step(action.numpy())
+        tensors = dict(
+            perturbed=perturbed, denoised=denoised, shown=shown, action=action,
+            attacked=attacked, alarm=alarm, score=score,
+        )  # fmt: skip
+        row |= {name: tensor.numpy() for name, tensor in tensors.items()} | dict(reward=reward)
+        for name, value in row.items():
+            history[name].append(value)
+        if not simulator.alive.any():
+            break
+    return Episodes(seeds=np.array(simulator.seeds), **{name: np.stack(rows) for name, rows in history.items()})

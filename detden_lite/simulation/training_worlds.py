@@ -1,0 +1,33 @@
+"""The worlds that a victim is trained in, and its training there."""
+
+from functools import partial
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+
+from detden_lite.core.tasks import Task
+from detden_lite.simulation.simulator import make
+from detden_lite.victims.recipes import PPORecipe, TD3Recipe
+from detden_lite.victims.training import train
+
+
+def task_worlds(task: Task, n: int):
+    """n worlds of a task, where a victim is trained."""
+    from stable_baselines3.common.env_util import make_vec_env
+
+    return make_vec_env(lambda: _make(task), n)
+
+
+def _make(task: Task) -> gymnasium.Env:
+    # Networks compute in float32; a replay buffer of float64 would be twice as large for nothing.
+    space = gymnasium.spaces.Box(-np.inf, np.inf, (task.obs_dim,), np.float32)
+    env = make(task.env_id)
+    return gymnasium.wrappers.TransformObservation(env, lambda obs: obs.astype(np.float32), space)
+
+
+def train_victim(
+    task: Task, recipe: TD3Recipe | PPORecipe, seed: int, folder: Path, checkpoint_seconds: float = 600
+) -> list[Path]:
+    """Train, or go on training, and return the snapshots; see ``train`` for what it raises."""
+    return train(task, recipe, seed, folder, partial(task_worlds, task), checkpoint_seconds=checkpoint_seconds)

@@ -1,0 +1,65 @@
+"""The policy with its input gradient, and attack objectives that see an observation through its action alone."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from detden_lite.core.gradients import Backprop, value_and_gradient
+from detden_lite.victims.victim import Victim
+
+
+class Policy:
+    """pi of a victim, forward and backward; a Gaussian policy's gradient is that of the unclipped mean.
+
+    Args:
+        victim: the policy.
+        clip: whether to clip a Gaussian policy's mean to the action bounds, as the world does.
+        dtype: see ``Backprop``.
+    """
+
+    def __init__(self, victim: Victim, clip: bool, dtype: torch.dtype = torch.float32):
+        self.victim, self.clip, self.actor = victim, clip, Backprop(victim.actor, dtype)
+        self.normalizes = bool((victim.obs_std != 1).any() or (victim.obs_mean != 0).any())
+        self.normalizes |= bool(victim.obs_clip.isfinite())
+        self.half_range = None if victim.action_std is not None else (victim.action_high - victim.action_low) / 2
+
+    def forward(self, obs: Tensor) -> Tensor:
+        """``victim.mean(obs)``, or ``victim(obs)`` if it clips, ``[N, action_dim]``."""
+        victim = self.victim
+        if self.normalizes:
+            obs = (obs - victim.obs_mean) / victim.obs_std
+            self.inside = obs.abs() <= victim.obs_clip
+            obs = obs.clamp_(-victim.obs_clip, victim.obs_clip)
+        action = self.actor.forward(obs)
+        if self.half_range is not None:
+            action = victim.action_low + (action + 1) * self.half_range
+        return action.clamp(victim.action_low, victim.action_high) if self.clip else action
+
+    def backward(self, gradient: Tensor) -> Tensor:
+        """From a gradient with respect to the action to that with respect to the observation."""
+        gradient = self.actor.backward(gradient if self.half_range is None else gradient * self.half_range)
+        return gradient * self.inside / self.victim.obs_std if self.normalizes else gradient
+
+
+@dataclass(frozen=True)
+class ActionObjective:
+    """An attack's objective that sees the perturbed observation through the policy's action alone.
+
+    Args:
+        policy: the policy under attack.
+        of_action: maps actions ``[N, action_dim]`` to values ``[N]``, row by row.
+    """
+
+    policy: Policy
+    of_action: Callable[[Tensor], Tensor]
+
+    def __call__(self, perturbed: Tensor) -> Tensor:
+        """Values ``[N]`` of ``perturbed`` ``[N, obs_dim]``."""
+        return self.of_action(self.policy.forward(perturbed))
+
+    def value_and_gradient(self, perturbed: Tensor) -> tuple[Tensor, Tensor]:
+        """Values ``[N]`` and their gradients ``[N, obs_dim]``: by autograd to the action, and by hand from there."""
+        value, gradient = value_and_gradient(self.of_action, self.policy.forward(perturbed))
+        return value, self.policy.backward(gradient)

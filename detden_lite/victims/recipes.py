@@ -1,0 +1,219 @@
+"""How a victim, or its adversary, is trained: the hyperparameters of TD3 and PPO, and what each needs to start, to save
+and to resume. ``worlds(n)`` makes n worlds to train in, as one ``VecEnv`` of stable-baselines3."""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from detden_lite.core.tasks import Task
+
+
+@dataclass(frozen=True)
+class TD3Recipe:
+    """Hyperparameters of TD3 (Fujimoto et al., 2018) on raw observations, or on normalised ones.
+
+    A segment is what is trained between two snapshots. Each starts from a new episode and from random generators that
+    are seeded by (seed, segment), so that a run that was killed and resumed equals one that was not. A finished run
+    may be prolonged: ``steps`` is no part of what it is.
+    """
+
+    steps: int = 500_000
+    segment: int = 20_000
+    net: int = 256
+    learning_rate: float = 1e-3
+    batch: int = 128
+    buffer: int = 1_000_000  # transitions in the replay buffer
+    learning_starts: int = 10_000
+    action_noise: float = 0.1
+    envs: int = 1
+    updates: int = 50  # steps of each environment between two compiled calls of as many gradient steps
+    normalize: bool = False  # observations, by the mean and deviation of the replay buffer when a segment begins
+
+    def __post_init__(self):
+        if self.steps % self.segment or self.segment % (self.envs * self.updates):
+            raise ValueError("steps must be a multiple of segment, and segment of envs * updates")
+        if self.normalize and self.learning_starts < self.segment:
+            raise ValueError("learning_starts: there is nothing to normalise by before the first segment is over")
+
+    @property
+    def identity(self) -> dict:
+        """What a folder's snapshots have in common."""
+        return {key: value for key, value in asdict(self).items() if key != "steps"}
+
+    def config(self, task: Task) -> dict:
+        """The arguments of the ``Victim`` that is trained."""
+        net = [self.net, self.net]
+        return dict(actor=[task.obs_dim, *net, task.action_dim], critic=[task.obs_dim + task.action_dim, *net, 1])
+
+    def start(self, worlds: Callable, seed: int):
+        """A new model, untrained."""
+        from sbx import TD3
+        from stable_baselines3.common.noise import NormalActionNoise
+
+        env = self._normalized(worlds)
+        zero = np.zeros(env.action_space.shape)
+        return TD3(
+            "MlpPolicy",
+            env,
+            learning_rate=self.learning_rate,
+            batch_size=self.batch,
+            learning_starts=self.learning_starts,
+            buffer_size=self.buffer,
+            train_freq=self.updates,
+            gradient_steps=self.envs * self.updates,
+            action_noise=NormalActionNoise(zero, zero + self.action_noise),
+            policy_kwargs=dict(net_arch=[self.net, self.net]),
+            seed=seed,
+        )
+
+    def resume(self, worlds: Callable, checkpoint: Path):
+        """The model of a checkpoint."""
+        from sbx import TD3
+
+        model = TD3.load(checkpoint / "model.zip", env=self._normalized(worlds))
+        model.load_replay_buffer(checkpoint / "buffer.pkl")
+        return model
+
+    def save(self, model, checkpoint: Path) -> None:
+        """Write what ``resume`` needs."""
+        model.save(checkpoint / "model.zip")
+        model.save_replay_buffer(checkpoint / "buffer.pkl")
+
+    def begin_segment(self, model, worlds: Callable, done: float) -> None:
+        """Forget the episode under way. ``done`` is the share of the training that lies behind."""
+        env = self._normalized(worlds)
+        seen = model.replay_buffer.observations[: model.replay_buffer.size()]
+        if self.normalize and len(seen):
+            # In float32: in float64 the normalising of batches would take longer than learning from them.
+            some = seen[:: max(1, len(seen) // 20_000)].reshape(-1, seen.shape[-1])
+            env.obs_rms.mean, env.obs_rms.var = some.mean(0), some.var(0)
+        model.set_env(env)
+
+    def _normalized(self, worlds: Callable):
+        from stable_baselines3.common.vec_env import VecNormalize
+
+        env = worlds(self.envs)
+        return VecNormalize(env, training=False, norm_reward=False) if self.normalize else env
+
+
+@dataclass(frozen=True)
+class PPORecipe:
+    """Hyperparameters of PPO (Schulman et al., 2017) on normalised observations and rewards.
+
+    The learning rate falls linearly to zero, from segment to segment; so a finished run cannot be prolonged.
+    """
+
+    steps: int = 2_048_000
+    segment: int = 40_960
+    net: int = 64
+    activation: str = "tanh"
+    learning_rate: float = 3e-4
+    envs: int = 16
+    rollout: int = 128  # steps of each environment between two updates
+    batch: int = 64
+    epochs: int = 10
+    gamma: float = 0.99
+    gae_lambda: float = 0.95
+    clip: float = 0.2
+    log_std: float = 0.0  # at the start
+
+    def __post_init__(self):
+        if self.steps % self.segment or self.segment % (self.envs * self.rollout):
+            raise ValueError("steps must be a multiple of segment, and segment of envs * rollout")
+
+    @property
+    def identity(self) -> dict:
+        """What a folder's snapshots have in common."""
+        return asdict(self)
+
+    def config(self, task: Task) -> dict:
+        """The arguments of the ``Victim`` that is trained."""
+        layers = [task.obs_dim, self.net, self.net]
+        return dict(
+            actor=[*layers, task.action_dim], value=[*layers, 1], n_critics=0, activation=self.activation, gaussian=True
+        )
+
+    def start(self, worlds: Callable, seed: int):
+        """A new model, untrained."""
+        import jax
+        from sbx import PPO
+
+        return PPO(
+            "MlpPolicy",
+            self._normalized(worlds),
+            learning_rate=self.learning_rate,
+            n_steps=self.rollout,
+            batch_size=self.batch,
+            n_epochs=self.epochs,
+            gamma=self.gamma,
+            gae_lambda=self.gae_lambda,
+            clip_range=self.clip,
+            policy_kwargs=dict(
+                net_arch=[self.net, self.net],
+                activation_fn=dict(tanh=jax.numpy.tanh, relu=jax.nn.relu)[self.activation],
+                log_std_init=self.log_std,
+                ortho_init=True,
+            ),
+            seed=seed,
+        )
+
+    def resume(self, worlds: Callable, checkpoint: Path):
+        """The model of a checkpoint, with its normaliser."""
+        from sbx import PPO
+        from stable_baselines3.common.vec_env import VecNormalize
+
+        env = VecNormalize.load(str(checkpoint / "normalizer.pkl"), worlds(self.envs))
+        return PPO.load(checkpoint / "model.zip", env=env)
+
+    def save(self, model, checkpoint: Path) -> None:
+        """Write what ``resume`` needs."""
+        model.save(checkpoint / "model.zip")
+        model.get_vec_normalize_env().save(str(checkpoint / "normalizer.pkl"))
+
+    def begin_segment(self, model, worlds: Callable, done: float) -> None:
+        """Forget the episodes under way. ``done`` is the share of the training that lies behind."""
+        env, old = self._normalized(worlds), model.get_vec_normalize_env()
+        env.obs_rms, env.ret_rms = old.obs_rms, old.ret_rms
+        model.set_env(env)
+        model.lr_schedule = _Constant(self.learning_rate * (1 - done))
+
+    def _normalized(self, worlds: Callable):
+        from stable_baselines3.common.vec_env import VecNormalize
+
+        return VecNormalize(worlds(self.envs), gamma=self.gamma)
+
+
+@dataclass(frozen=True)
+class AdversaryRecipe(PPORecipe):
+    """Hyperparameters of PPO for an adversary, which sees what the victim should see and perturbs it."""
+
+    steps: int = 204_800
+    segment: int = 20_480
+    learning_rate: float = 1e-3
+    envs: int = 32
+    rollout: int = 64
+    batch: int = 128
+    entropy: float = 0.003  # weight of the entropy bonus
+    timing: str = "always"  # when it may attack: "always" or "vulnerable"
+
+    def config(self, task: Task) -> dict:
+        """The arguments of the ``Victim`` that the adversary is: its actions are perturbations."""
+        return super().config(replace(task, action_dim=task.obs_dim))
+
+    def start(self, worlds: Callable, seed: int):
+        """A new model, untrained."""
+        model = super().start(worlds, seed)
+        model.ent_coef = self.entropy
+        return model
+
+
+@dataclass(frozen=True)
+class _Constant:
+    """A learning-rate schedule that can be saved."""
+
+    rate: float
+
+    def __call__(self, _) -> float:
+        return self.rate

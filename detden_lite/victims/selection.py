@@ -1,0 +1,72 @@
+"""Which snapshot of several trainings is shipped: screening for all of them, selection for the best of these."""
+
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from tqdm import tqdm
+
+from detden_lite.core.files import ArtifactError
+from detden_lite.core.tasks import Task
+from detden_lite.victims.victim import Victim
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The chosen snapshot, and the learning curves of all trainings."""
+
+    policy: Victim
+    recipe: dict  # of its training, as in recipe.json
+    step: int
+    selection: float  # its mean return in the selection episodes
+    curves: list[dict]  # of each training: its recipe, steps, and mean return in the screening episodes
+
+
+def choose(
+    task: Task, kind: type, folders: Iterable[Path], measure: Callable[[Victim, str], float], sign: int = 1, n: int = 10
+) -> Choice:
+    """The best snapshot of some trainings.
+
+    Every snapshot plays screening episodes (the learning curves); the n best of these play selection episodes; the best
+    of those is chosen.
+
+    Args:
+        task: what they were trained for.
+        kind: the class of their recipes.
+        folders: one a training, with a snapshot each at least between them.
+        measure: the mean return with a snapshot's policy in the episodes called "screening" or "selection".
+        sign: 1 if a large return is good, -1 if a small one is.
+        n: how many get to the selection.
+
+    Raises:
+        ArtifactError: if a snapshot cannot be read, or its recipe is another.
+    """
+    rows, curves = [], []
+    for folder in folders:
+        recipe = json.loads((folder / "recipe.json").read_text())
+        config = kind(**{key: recipe[key] for key in recipe.keys() & kind.__dataclass_fields__}).config(task)
+        own = []
+        for path in tqdm(sorted((folder / "snapshots").glob("*.safetensors")), desc=folder.name, unit="snapshot"):
+            own.append((measure(_load(path, config), "screening"), path, config, recipe))
+        curves.append(dict(recipe=recipe, steps=[int(row[1].stem) for row in own], mean=[row[0] for row in own]))
+        rows += own
+    best = []
+    for _, path, config, recipe in tqdm(
+        sorted(rows, key=lambda row: -sign * row[0])[:n], desc="selection", unit="snapshot"
+    ):
+        policy = _load(path, config)
+        best.append((measure(policy, "selection"), path, policy, recipe))
+    selection, path, policy, recipe = max(best, key=lambda row: sign * row[0])
+    return Choice(policy, recipe, int(path.stem), selection, curves)
+
+
+def _load(path: Path, config: dict) -> Victim:
+    try:
+        return Victim.from_state(config, load_file(path))
+    except (SafetensorError, RuntimeError):
+        raise ArtifactError(
+            f"{path} is truncated, or of another recipe than its folder; remove {path.parents[1]} and train anew"
+        ) from None

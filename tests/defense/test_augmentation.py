@@ -1,0 +1,146 @@
+import numpy as np
+import pytest
+import torch
+from builders import BUDGET, HOPPER, NORMS, excess, make_victim, steady
+from hypothesis import given
+from hypothesis import strategies as st
+
+from detden_lite.attacks.opposite import OppositeAttack, opposite_objective
+from detden_lite.attacks.qfunction import QFunctionAttack, q_objective
+from detden_lite.core.budget import Budget
+from detden_lite.core.random_streams import RandomStreams
+from detden_lite.defense.augmentation import augment, intermittent
+from detden_lite.simulation.collection import collect_normal
+from detden_lite.simulation.rollout import rollout
+
+SEEDS = range(6)
+STEPS = 26
+
+
+@pytest.fixture(scope="module")
+def victim():
+    return make_victim(seed=8)
+
+
+@pytest.fixture(scope="module")
+def normal(victim):
+    return collect_normal(victim, HOPPER, SEEDS, action_noise=(0.0, 0.3), steps=STEPS)
+
+
+def test_normal_trajectories_are_whole_clean_episodes(victim, normal):
+    noise = np.array([0, 0.3] * 3, np.float32)
+    episodes = rollout(victim, HOPPER, SEEDS, action_noise=noise, steps=STEPS)
+    assert len(normal) == 6 and normal.obs.shape == (6, STEPS, 11) and normal.obs.dtype == np.float32
+    assert np.array_equal(normal.lengths, episodes.lengths) and len(set(normal.lengths)) > 1
+    for i, length in enumerate(normal.lengths):
+        assert np.array_equal(normal.obs[i, :length], episodes.obs[:length, i])
+        assert not normal.obs[i, length:].any()
+    assert np.array_equal(normal.mask.sum(1), normal.lengths) and normal.mask[:, 0].all()
+
+
+def test_episodes_do_not_depend_on_how_many_run_together(victim, normal):
+    again = collect_normal(victim, HOPPER, SEEDS, action_noise=(0.0, 0.3), lockstep=3, steps=STEPS)
+    assert np.array_equal(again.lengths, normal.lengths) and np.allclose(again.obs, normal.obs, atol=1e-4)
+
+
+def test_the_first_exploration_is_the_papers_none(victim, normal):
+    plain = collect_normal(victim, HOPPER, SEEDS, action_noise=(0.0,), steps=STEPS)
+    same = [np.allclose(plain.obs[i, :15], normal.obs[i, :15], atol=1e-5) for i in range(6)]
+    assert same == [True, False] * 3
+
+
+@pytest.mark.parametrize(("attack", "of"), [(OppositeAttack, opposite_objective), (QFunctionAttack, q_objective)])
+def test_every_observation_is_attacked_offline(victim, normal, attack, of):
+    adversarial = augment(normal, attack(victim, BUDGET, steps=3), batch=50)
+    assert np.array_equal(adversarial.lengths, normal.lengths)
+    true, perturbed = (torch.from_numpy(t.obs[normal.mask]) for t in (normal, adversarial))
+    assert BUDGET.contains(true, perturbed).all() and (true != perturbed).any(-1).all()
+    objective = of(victim, true)
+    assert (objective(perturbed) > objective(true)).all()
+    assert not adversarial.obs[~normal.mask].any()
+
+
+def test_the_seed_decides_and_the_batch_does_not(victim, normal):
+    def attacked(batch, seed):
+        return augment(normal, OppositeAttack(victim, BUDGET, steps=3), batch, seed).obs
+
+    assert np.allclose(attacked(7, 0), attacked(1_000, 0), atol=1e-5)
+    assert not np.allclose(attacked(1_000, 0), attacked(1_000, 1), atol=1e-5)
+
+
+def test_selected_trajectories_are_themselves(normal):
+    part = normal.select(slice(2, 4))
+    assert (
+        len(part) == 2
+        and np.array_equal(part.obs, normal.obs[2:4])
+        and np.array_equal(part.lengths, normal.lengths[2:4])
+    )
+
+
+def test_an_attack_that_needs_the_environment_is_refused(victim, normal):
+    class Planner(OppositeAttack):
+        needs = frozenset({"policy", "simulator"})
+
+    with pytest.raises(ValueError, match="attack: Planner needs the simulator"):
+        augment(normal, Planner(victim, BUDGET))
+
+
+SHAPE = (400, 100, 3)
+TRUE = np.random.default_rng(0).normal(size=SHAPE).astype(np.float32)
+
+
+def attacked_everywhere(budget: Budget = BUDGET) -> np.ndarray:
+    """A random point of the ball of every observation."""
+    flat = torch.from_numpy(TRUE).flatten(0, 1)
+    return budget.project(flat, budget.sample(flat, RandomStreams(1))).view(SHAPE).numpy()
+
+
+def is_attacked(mixed: np.ndarray) -> np.ndarray:
+    return (mixed != TRUE).any(-1)
+
+
+def test_attacked_always_and_at_its_own_size_is_the_attack():
+    found = intermittent(TRUE, attacked_everywhere(), least_share=1, least_size=1)
+    assert found.dtype == np.float32 and np.allclose(found, attacked_everywhere(), atol=1e-6)
+
+
+@steady
+@given(st.sampled_from(NORMS), st.floats(0, 1), st.floats(0, 1), st.integers(1, 300), st.integers(0, 9))
+def test_what_is_mixed_stays_in_the_ball(norm, least_share, least_size, run, seed):
+    budget = Budget(0.3, norm, torch.tensor([0.5, 1.0, 2.0]))
+    found = intermittent(TRUE, attacked_everywhere(budget), least_share, least_size, seed, run)
+    true, found = (torch.from_numpy(obs).flatten(0, 1) for obs in (TRUE, found))
+    assert excess(budget, true, found) <= 0
+
+
+@pytest.mark.parametrize("least_share", [0.0, 0.5, 0.9])
+def test_the_share_of_attacked_steps_is_drawn_for_each_sequence(least_share):
+    shares = is_attacked(intermittent(TRUE, attacked_everywhere(), least_share, run=1)).mean(1)
+    assert abs(shares.mean() - (least_share + 1) / 2) < 0.05 and shares.min() > least_share - 0.2
+    assert shares.std() == pytest.approx((1 - least_share) / np.sqrt(12), abs=0.04)
+
+
+def test_attacked_steps_come_in_runs_of_one_size():
+    delta = intermittent(TRUE, attacked_everywhere(), 0.0, 0.3, run=10) - TRUE
+    size = np.abs(delta).sum(-1) / np.abs(attacked_everywhere() - TRUE).sum(-1)
+    assert 0.3 - 1e-3 < size[size > 0].min() < 0.35 and 0.95 < size.max() < 1 + 1e-3
+    changes = np.abs(np.diff(size)) > 1e-3
+    for row in changes:
+        where = np.flatnonzero(row)
+        assert not (np.diff(where) % 10).any()  # only where a run ends
+    assert len({np.flatnonzero(row)[0] % 10 for row in changes if row.any()}) == 10  # elsewhere in each sequence
+
+
+def test_the_seed_decides_what_is_mixed():
+    first, again, other = (intermittent(TRUE, attacked_everywhere(), seed=seed) for seed in (0, 0, 1))
+    assert np.array_equal(first, again) and not np.array_equal(first, other)
+
+
+def test_of_clean_sequences_nothing_is_attacked():
+    assert np.array_equal(intermittent(TRUE, TRUE, 0.5, 0.5), TRUE)
+
+
+@pytest.mark.parametrize("arguments", [dict(least_share=-0.1), dict(least_size=1.1), dict(run=0)])
+def test_a_mixture_that_is_none_is_refused(arguments):
+    with pytest.raises(ValueError, match=next(iter(arguments))):
+        intermittent(TRUE, TRUE, **arguments)

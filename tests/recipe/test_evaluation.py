@@ -1,0 +1,143 @@
+import json
+from dataclasses import replace
+from itertools import combinations
+
+import pytest
+import torch
+from builders import BUDGET, HOPPER, make_defense, make_victim
+
+from detden_lite.attacks.catalogue import ADAPTIVE
+from detden_lite.attacks.threat import Threat
+from detden_lite.core.metrics import score_auroc
+from detden_lite.defense.denoiser import Denoiser
+from detden_lite.defense.oracles import OracleDetector
+from detden_lite.defense.pipeline import DetectAndDenoise
+from detden_lite.recipe.episode_seeds import SEEDS, seeds
+from detden_lite.recipe.evaluation import run_cell
+from detden_lite.results.cells import Cell
+from detden_lite.victims.victim import Victim
+
+THREAT = Threat(BUDGET, steps=3, restarts=2, c_vul=0.1, rate=0.5)
+
+
+@pytest.fixture(scope="module")
+def victim():
+    return make_victim(seed=8)
+
+
+def run(victim, cell, defense=None, n=4, clean=None):
+    return run_cell(cell, HOPPER, victim, THREAT, defense, seeds("report", n), steps=26, clean=clean)
+
+
+def test_a_record_says_what_was_done_and_what_came_of_it(victim):
+    cell = Cell("opposite", "random", "mine")
+    record, episodes = run(victim, cell, make_defense())
+    assert json.loads(json.dumps(record, allow_nan=False)) == record
+    assert record["cell"] == dict(attack="opposite", timing="random", defense="mine") and record["task"] == "hopper"
+    expected = dict(epsilon=0.075, norm="inf", steps=3, restarts=2, rate=0.5, c_anomaly=1.5)
+    assert record["settings"] == expected
+    assert record["seeds"] == [SEEDS["report"], 4] and episodes.seeds.tolist() == list(seeds("report", 4))
+    assert record["returns"] == episodes.returns.tolist()
+    assert 0 < record["attack_rate"] < 1
+    assert cell.record_name("hopper", "td3") == "hopper-td3.opposite.random.mine"
+
+
+def test_the_settings_say_what_is_not_the_papers_about_a_defence(victim):
+    own = make_defense()
+    for defense, expected in (
+        (own, {}),
+        (DetectAndDenoise(own.detector, own.denoiser, always=True), dict(always=True)),
+        (DetectAndDenoise(own.detector, own.denoiser, budget=BUDGET), dict(projected=True)),
+        (DetectAndDenoise(own.detector), dict(detector_only=True)),
+        (DetectAndDenoise(own.detector, Denoiser(own.denoiser.model, sample=False)), dict(latent_mean=True)),
+        (DetectAndDenoise(OracleDetector(), own.denoiser), dict(truth=True, c_anomaly=0.5)),
+    ):
+        settings = run(victim, Cell("uniform", defense="mine"), defense)[0]["settings"]
+        assert settings == dict(epsilon=0.075, norm="inf", c_anomaly=1.5) | expected
+
+
+def test_a_record_takes_what_it_is_compared_with_from_clean_episodes(victim):
+    _, clean = run(victim, Cell(defense="mine"), make_defense())
+    cell = Cell("uniform", defense="mine")
+    record, episodes = run(victim, cell, make_defense(), clean=clean)
+    assert record["auroc_clean"] == score_auroc(episodes, clean)
+    assert "auroc_clean" not in run(victim, cell, make_defense())[0]
+
+
+@pytest.mark.parametrize(("attack", "steps"), [("none", None), ("uniform", None), ("fgsm", 1), ("opposite", 3)])
+def test_the_settings_are_those_of_the_attack_that_was_made(victim, attack, steps):
+    assert run(victim, Cell(attack))[0]["settings"].get("steps") == steps
+
+
+def test_the_same_cell_gives_the_same_record(victim):
+    cell = Cell("opposite", "vulnerable", "mine")
+    first, second = (run(victim, cell, make_defense())[0] for _ in range(2))
+    assert first.pop("seconds") > 0 and second.pop("seconds") > 0
+    assert first == second
+    assert first["settings"]["c_vul"] == 0.1
+
+
+@pytest.mark.parametrize("attack", ["none", "uniform", "gaussian", "fgsm", "opposite"])
+def test_every_attack_of_the_tables_can_be_run(victim, attack):
+    record, episodes = run(victim, Cell(attack))
+    assert record["attack_rate"] == (attack != "none")
+    assert (episodes.perturbed != episodes.obs).any() == (attack != "none")
+
+
+def test_names_that_do_not_exist_are_refused(victim):
+    with pytest.raises(ValueError, match="attack must be none or one of uniform"):
+        run(victim, Cell("magic"))
+    with pytest.raises(ValueError, match="timing must be one of always"):
+        run(victim, Cell("uniform", "never"))
+
+
+def test_cell_and_defence_must_agree(victim):
+    with pytest.raises(ValueError, match="defense.*give None"):
+        run(victim, Cell(), make_defense())
+    with pytest.raises(ValueError, match="defense.*give one"):
+        run(victim, Cell(defense="mine"))
+
+
+def test_no_episode_serves_two_purposes():
+    """Not even with as many as the paper's 20,000 trajectories."""
+    for one, other in combinations(SEEDS, 2):
+        assert not set(seeds(one, 20_000)) & set(seeds(other, 20_000))
+
+
+@pytest.mark.parametrize("name", ["optimal", "linear"])
+def test_a_learned_adversary_attacks_in_a_cell_once_it_is_given(victim, name):
+    with pytest.raises(ValueError, match=f"adversaries: the {name} one is missing"):
+        run(victim, Cell(name))
+    torch.manual_seed(0)
+    adversary = Victim([11, 11], gaussian=True)
+    threat = replace(THREAT, adversaries={name: adversary})
+    record, episodes = run_cell(Cell(name), HOPPER, victim, threat, None, seeds("report", 4), steps=10)
+    assert record["settings"] == dict(epsilon=0.075, norm="inf") and record["attack_rate"] == 1
+    obs = torch.from_numpy(episodes.obs[0])
+    assert torch.allclose(torch.from_numpy(episodes.perturbed[0]), obs + 0.075 * adversary(obs), atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ADAPTIVE)
+def test_every_attack_that_knows_the_defence_can_be_run(victim, name):
+    torch.manual_seed(0)
+    planner = dict(horizon=2, population=4, iterations=1, elites=2)
+    small = dict(steps=2, restarts=1, samples=2, fresh=2)
+    adversaries = {"adaptive-optimal": Victim([11, 11], gaussian=True)}
+    threat = replace(THREAT, planner=planner, adaptive=small, adversaries=adversaries)
+    cell = Cell(name, defense="mine")
+    record, episodes = run_cell(cell, HOPPER, victim, threat, make_defense(), seeds("report", 2), steps=3)
+    assert json.loads(json.dumps(record, allow_nan=False)) == record
+    assert BUDGET.contains(torch.from_numpy(episodes.obs), torch.from_numpy(episodes.perturbed)).all()
+    assert (episodes.perturbed != episodes.obs).any(-1).all()
+    kind, unaware = name.split("-")
+    own = dict(text=dict(form="text", weight=1.0), appendix=dict(form="appendix", weight=1.0), adaptive=small)
+    own |= dict(coupled=small | dict(pace=0.2), free=small | dict(population=32, elites=6))
+    assert record["settings"].get("adaptive") == (None if unaware == "optimal" else own[kind])
+    assert record["settings"].get("steps") == (None if unaware == "optimal" else THREAT.steps)
+
+
+def test_without_a_defence_there_is_nothing_to_adapt_to(victim):
+    with pytest.raises(ValueError, match="no defense to adapt to"):
+        run(victim, Cell("adaptive-opposite"))
+    with pytest.raises(ValueError, match="adversaries: the adaptive-optimal one is missing"):
+        run(victim, Cell("adaptive-optimal", defense="mine"), make_defense())

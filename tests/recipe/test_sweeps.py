@@ -1,0 +1,70 @@
+import json
+
+import numpy as np
+import pytest
+from builders import BUDGET, HOPPER, make_victim, ship_victim
+
+from detden_lite.attacks.enchanting import EnchantingAttack
+from detden_lite.attacks.opposite import OppositeAttack
+from detden_lite.attacks.threat import Threat
+from detden_lite.attacks.timing import After
+from detden_lite.core.budget import Budget
+from detden_lite.core.tasks import SCALES
+from detden_lite.recipe.cli import main
+from detden_lite.recipe.episode_seeds import SEEDS, seeds
+from detden_lite.recipe.scales import get_scale
+from detden_lite.recipe.sweeps import SIZES, over_planners, over_sizes
+from detden_lite.simulation.planner import CEMPlanner
+from detden_lite.simulation.rollout import rollout
+from detden_lite.store import manifest
+
+EPISODES = seeds("tuning", 4)
+
+
+def test_every_size_is_what_the_attack_of_that_size_does():
+    victim = make_victim(seed=8)
+    found = over_sizes(HOPPER, victim, Threat(BUDGET, 3), EPISODES, ("uniform", "opposite"), (0.0, 2.0), steps=20)
+    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    assert found["seeds"] == [SEEDS["tuning"], 4] and list(found["attacks"]) == ["uniform", "opposite"]
+    for name, attack in (("uniform", None), ("opposite", OppositeAttack(victim, Budget(0.15), 3))):
+        nothing, double = found["attacks"][name]
+        assert (nothing["epsilon"], double["epsilon"]) == (0.0, 0.15)
+        assert nothing["returns"] == rollout(victim, HOPPER, EPISODES, steps=20).returns.tolist()
+        if attack:
+            assert double["returns"] == rollout(victim, HOPPER, EPISODES, attack=attack, steps=20).returns.tolist()
+        assert double["returns"] != nothing["returns"]
+        assert double["estimate"]["mean"] == pytest.approx(np.mean(double["returns"]))
+
+
+def test_every_planner_is_tried_on_robots_that_are_on_their_way():
+    victim, settings = make_victim(seed=8), dict(horizon=2, population=4, iterations=1, elites=2)
+    found = over_planners(HOPPER, victim, BUDGET, EPISODES, [settings, settings | dict(horizon=4)], begin=5, steps=12)
+    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    first, second = found["rows"]
+    assert first | settings == first and second["horizon"] == 4 and found["begin"] == 5
+    attack = EnchantingAttack(victim, BUDGET, CEMPlanner(HOPPER.env_id, **settings))
+    episodes = rollout(victim, HOPPER, EPISODES, attack=attack, timing=After(5), steps=12)
+    assert first["returns"] == episodes.returns.tolist()
+    assert first["lived"] == (episodes.lengths - 5).clip(0).tolist() and max(first["lived"]) <= 7
+    assert first["plans_per_second"] > 0
+
+
+def test_what_is_swept_has_no_duplicates_and_contains_what_is_reported():
+    assert 1.0 in SIZES and len(set(SIZES)) == len(SIZES)
+    for scale in SCALES:
+        found = get_scale(scale, HOPPER)
+        assert found.planner in found.planners and len({tuple(row.items()) for row in found.planners}) == len(
+            found.planners
+        )
+        assert all(row.keys() == found.planner.keys() for row in found.planners)
+
+
+def test_the_stages_store_their_sweeps_once(tmp_path):
+    ship_victim(tmp_path)
+    for stage, purpose in (("epsilon", "report"), ("planning", "tuning")):
+        path = tmp_path / "hopper-td3" / f"{stage}.json"
+        main([stage, "--root", str(tmp_path)])
+        assert manifest.read_json(path, tmp_path)["seeds"] == [SEEDS[purpose], 4]
+        made = path.stat().st_mtime_ns
+        main([stage, "--root", str(tmp_path)])
+        assert path.stat().st_mtime_ns == made

@@ -1,0 +1,82 @@
+"""The records of attackers who know the defence, beside those of attackers who do not."""
+
+import numpy as np
+import pytest
+import yaml
+from builders import record
+from conftest import ROOT
+
+from detden_lite.attacks import catalogue
+from detden_lite.core.files import ArtifactError
+from detden_lite.defense.variants import MAIN
+from detden_lite.results import defended_victims
+from detden_lite.results.adaptive_attacks import ADAPTED_ROWS, change, compare, load_adaptive
+from detden_lite.results.bare_victims import UNATTACKED
+from detden_lite.store import manifest
+
+RNG = np.random.default_rng(0)
+CELL = dict(cell=dict(timing="always", defense=MAIN))
+
+
+def ship(root, attack: str, returns) -> None:
+    path = root / "results" / f"hopper-td3.{attack}.always.{MAIN}.json"
+    manifest.write_json(path, record(returns) | CELL, root)
+
+
+def test_the_rows_are_those_that_the_recipe_adapts_to():
+    for path in (ROOT / "data" / "config").glob("*.yaml"):
+        assert yaml.safe_load(path.read_text())["adapted"] == ["-".join(row) for row in ADAPTED_ROWS]
+
+
+def test_every_adaptive_attack_is_made_of_one_of_the_papers_and_has_a_name_of_its_own():
+    assert {catalogue.CATALOGUE[attack].unaware for attack in catalogue.ADAPTIVE} == set(catalogue.FOUR)
+    assert len({catalogue.TITLES[attack] for attack in catalogue.ADAPTIVE}) == len(catalogue.ADAPTIVE)
+    assert catalogue.TITLES["adaptive-qfunction"] == "Q-function, adaptive"
+
+
+def test_only_adaptive_records_of_this_defence_are_loaded_and_altered_ones_refused(tmp_path):
+    assert load_adaptive("hopper", "td3", root=tmp_path) == {}
+    for attack in ("none", "opposite", "text-opposite", "adaptive-optimal"):
+        ship(tmp_path, attack, [10.0, 12.0])
+    assert set(load_adaptive("hopper", "td3", root=tmp_path)) == {
+        ("text-opposite", "always"),
+        ("adaptive-optimal", "always"),
+    }
+    assert load_adaptive("hopper", "td3", "printed", tmp_path) == {}
+    path = tmp_path / "results" / f"hopper-td3.text-opposite.always.{MAIN}.json"
+    path.write_text(path.read_text().replace("12", "99"))
+    with pytest.raises(ArtifactError, match="truncated or altered"):
+        load_adaptive("hopper", "td3", root=tmp_path)
+
+
+def test_a_change_is_one_of_the_means_of_the_same_episodes():
+    """Returns that differ widely, and of which all lose the same part: the part is known exactly."""
+    plain = RNG.normal(1_000, 300, 60)
+    lost = change(record(0.8 * plain[:40]), record(plain))
+    assert (lost.mean, lost.low, lost.high) == pytest.approx((-0.2, -0.2, -0.2))
+    noisy = change(record(1.1 * plain + RNG.normal(0, 50, 60)), record(plain))
+    assert 0 < noisy.low < noisy.mean < noisy.high < 0.2
+    assert change(record(plain), record(-plain)) is None  # per cent of what?
+
+
+def test_who_knows_more_and_does_worse_has_failed(tmp_path):
+    returns = RNG.normal(1_000, 300, 60)
+    for attack, part in (("none", 2.0), ("opposite", 1.0), ("text-opposite", 1.5), ("adaptive-opposite", 0.5)):
+        ship(tmp_path, attack, part * returns)
+    ship(tmp_path, "text-qfunction", returns)  # whose unaware one has no record
+    adaptive, plain = (
+        load_adaptive("hopper", "td3", root=tmp_path),
+        defended_victims.load_defended("hopper", "td3", root=tmp_path),
+    )
+    printed, proper = compare(adaptive, plain)
+    assert (printed.attack, printed.unaware, proper.attack) == ("text-opposite", "opposite", "adaptive-opposite")
+    assert printed.failed and not proper.failed
+    assert printed.change.mean == pytest.approx(0.5) and proper.change.mean == pytest.approx(-0.5)
+    assert proper.record is adaptive["adaptive-opposite", "always"]
+
+
+def test_the_worst_is_looked_for_among_all_that_are_there(tmp_path):
+    assert defended_victims.worst({UNATTACKED: record([1, 2])}) is None
+    adaptive, plain = {("text-opposite", "always"): record([5, 6])}, {("optimal", "vulnerable"): record([4, 5])}
+    assert defended_victims.worst(plain | adaptive) == ("optimal", "vulnerable")
+    assert defended_victims.worst(adaptive) == ("text-opposite", "always")

@@ -1,0 +1,39 @@
+import csv
+import shutil
+
+import pytest
+
+from detden_lite.core.files import ArtifactError
+from detden_lite.results import records, table
+from detden_lite.store import manifest
+from detden_lite.store.manifest import DATA
+
+
+def test_the_table_has_a_line_for_each_record_and_says_what_it_says(tmp_path):
+    shutil.copytree(DATA / "results", tmp_path / "results")
+    shutil.copy(DATA / "manifest.json", tmp_path)
+    with table.write_table(tmp_path).open(newline="") as file:
+        lines = {
+            ".".join(line[key] for key in ("row", "attack", "timing", "defense")): line for line in csv.DictReader(file)
+        }
+    assert set(lines) == {path.stem for path in (DATA / "results").glob("*.json")}
+    for name, line in lines.items():
+        record = records.load_record(name)
+        assert float(line["mean"]) == record["estimate"]["mean"] and int(line["n"]) == len(record["returns"])
+        for column, value in (
+            ("accuracy", record["detector"]["accuracy"]), ("f1", record["detector"]["f1"]),
+            ("mae", record["denoiser_mae"]), ("attack_rate", record["attack_rate"]), ("auroc", record.get("auroc")),
+            ("auroc_clean", record.get("auroc_clean")), ("mae_live", record.get("denoiser_mae_live")),
+            ("delay", record.get("delay", {}).get("mean")), ("missed", record.get("delay", {}).get("missed")),
+        ):  # fmt: skip
+            assert line[column] == ("" if value is None else str(value)), (name, column)
+
+
+def test_a_run_without_records_and_one_that_was_altered_are_refused(tmp_path):
+    with pytest.raises(ArtifactError, match="holds no record; run the evaluate stage first"):
+        table.write_table(tmp_path)
+    manifest.write_json(tmp_path / "results" / "hopper-td3.none.always.none.json", {}, tmp_path)
+    (tmp_path / "results" / "hopper-td3.none.always.none.json").write_text('{"cell": {}}')
+    with pytest.raises(ArtifactError, match="truncated or altered"):
+        table.write_table(tmp_path)
+    assert not (tmp_path / "tables").exists()

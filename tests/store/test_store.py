@@ -1,0 +1,311 @@
+import json
+import os
+import pickle
+import re
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+import torch
+from builders import make_gruvae, make_victim, normal
+
+from detden_lite.core.files import ArtifactError
+from detden_lite.core.networks import mlp
+from detden_lite.results import records
+from detden_lite.store import manifest, models, tensors
+from detden_lite.victims.victim import Victim
+
+
+@pytest.fixture
+def root(tmp_path):
+    """A data folder with a victim, a defence and a record."""
+    models.save_victim("hopper", "td3", make_victim(seed=3), dict(step=7), tmp_path)
+    models.save_model("hopper", "td3", "detector-diverse", make_gruvae(), dict(threshold=1.5), tmp_path)
+    denoiser = make_gruvae(residual=True)
+    models.save_model("hopper", "td3", "denoiser-residual", denoiser, dict(data="diverse"), tmp_path)
+    manifest.write_json(tmp_path / "results" / "cell.json", dict(mean=1.5), tmp_path)
+    return tmp_path
+
+
+def test_what_was_saved_is_what_is_loaded(root):
+    obs = normal(5, 11)
+    victim = models.load_victim("hopper", "td3", root)
+    assert torch.equal(victim(obs), make_victim(seed=3)(obs)) and torch.equal(
+        victim.value(obs), make_victim(seed=3).value(obs)
+    )
+    model, sidecar = models.load_model("hopper", "td3", "denoiser-residual", root)
+    assert torch.equal(model(obs[None]).output, make_gruvae(residual=True)(obs[None]).output)
+    assert sidecar["data"] == "diverse" and sidecar["versions"]["torch"].startswith(torch.__version__.split("+")[0])
+    defense = models.load_defense("hopper", "td3", "residual", root)
+    assert defense.detector.threshold == 1.5 and defense.denoiser.model.config["residual"]
+    assert records.load_record("cell", root) == dict(mean=1.5)
+
+
+@pytest.mark.parametrize("gaussian", [False, True])
+def test_both_kinds_of_victims_go_to_disk_and_back(tmp_path, gaussian):
+    victim, obs = make_victim(gaussian=gaussian), normal(5, 11)
+    models.save_victim("hopper", "any", victim, {}, tmp_path)
+    again = models.load_victim("hopper", "any", tmp_path)
+    assert torch.equal(again(obs), victim(obs)) and (again.action_std is None) == (not gaussian)
+
+
+def truncate(path):
+    path.write_bytes(path.read_bytes()[:-10])
+
+
+def alter(path):
+    content = bytearray(path.read_bytes())
+    content[-10] ^= 1
+    path.write_bytes(content)
+
+
+class Bomb:
+    def __reduce__(self):
+        return os._exit, (1,)  # what a pickle may do to whoever opens it
+
+
+def replace_by_pickle(path):
+    path.write_bytes(pickle.dumps(Bomb()))
+
+
+@pytest.mark.parametrize("harm", [truncate, alter, replace_by_pickle, os.remove])
+@pytest.mark.parametrize("name", ["victim.safetensors", "victim.json"])
+def test_a_harmed_file_is_refused_by_name(root, harm, name):
+    harm(root / "hopper-td3" / name)
+    with pytest.raises(ArtifactError, match=name):
+        models.load_victim("hopper", "td3", root)
+
+
+@pytest.mark.parametrize("harm", [truncate, alter, os.remove])
+def test_a_harmed_record_is_refused_by_name(root, harm):
+    harm(root / "results" / "cell.json")
+    with pytest.raises(ArtifactError, match="cell.json"):
+        records.load_record("cell", root)
+
+
+@pytest.mark.parametrize("harm", [truncate, os.remove])
+def test_without_a_whole_manifest_nothing_is_trusted(root, harm):
+    harm(root / "manifest.json")
+    with pytest.raises(ArtifactError, match="manifest.json"):
+        models.load_victim("hopper", "td3", root)
+
+
+def test_a_pickle_is_not_opened_even_where_the_manifest_has_it(root):
+    manifest.write_bytes(root / "hopper-td3" / "victim.safetensors", pickle.dumps(Bomb()), root)
+    with pytest.raises(ArtifactError, match="victim.safetensors.*safetensors format"):
+        models.load_victim("hopper", "td3", root)
+    manifest.write_bytes(root / "victim.pkl", pickle.dumps(Bomb()), root)
+    with pytest.raises(ArtifactError, match="victim.pkl.*never pickles"):
+        tensors.load_tensors(root / "victim.pkl", root)
+
+
+def test_a_stranger_is_refused(root):
+    (root / "results" / "foreign.json").write_text("{}")
+    with pytest.raises(ArtifactError, match="foreign.json is not in .*manifest.json"):
+        records.load_record("foreign", root)
+
+
+def test_weights_that_do_not_fit_their_sidecar_are_refused(root):
+    folder = root / "hopper-td3"
+    for broken in (dict(config=dict(actor=[11, 9, 3])), dict(config=dict(color="red")), {}):
+        manifest.write_json(folder / "victim.json", broken, root)
+        with pytest.raises(ArtifactError, match="victim.safetensors does not fit its sidecar"):
+            models.load_victim("hopper", "td3", root)
+
+
+def test_numbers_that_json_does_not_know_are_refused(root):
+    with pytest.raises(ValueError):
+        manifest.write_json(root / "results" / "cell.json", dict(mean=float("nan")), root)
+    assert records.load_record("cell", root) == dict(mean=1.5)
+
+
+def test_made_is_what_is_there_with_its_sidecar_as_the_manifest_has_it(root):
+    victim, record = root / "hopper-td3" / "victim.safetensors", root / "results" / "cell.json"
+    assert manifest.is_made(victim, root) and manifest.is_made(record, root)
+    victim.with_suffix(".json").unlink()
+    truncate(record)
+    assert not manifest.is_made(victim, root) and not manifest.is_made(record, root)
+    assert not manifest.is_made(root / "results" / "other.json", root)
+
+
+CRITIC = [14, 8, 1]
+
+
+@pytest.fixture
+def ppo(tmp_path) -> Victim:
+    """A shipped PPO victim with a critic that was learned and shipped afterwards, and the victim as it was."""
+    victim = make_victim(gaussian=True)
+    models.save_victim("hopper", "ppo", victim, {}, tmp_path)
+    tensors.save_tensors(tmp_path / "hopper-ppo" / "critic.safetensors", critic().state_dict(), CARD, tmp_path)
+    return victim
+
+
+CARD = dict(critic=CRITIC, activation="relu")
+
+
+def critic():
+    torch.manual_seed(4)
+    return mlp(CRITIC)
+
+
+def test_a_learned_critic_comes_with_its_victim(tmp_path, ppo):
+    loaded, obs, action = models.load_victim("hopper", "ppo", tmp_path), normal(6, 11), normal(6, 3, seed=1)
+    assert torch.equal(loaded.q(obs, action), critic()(loaded.critic_input(obs, action)).squeeze(-1))
+    for name in ("forward", "mean", "value"):  # V is the value network's still
+        assert torch.equal(getattr(loaded, name)(obs), getattr(ppo, name)(obs))
+    (gradient,) = torch.autograd.grad(loaded.q(obs, action.requires_grad_()).sum(), action)
+    assert (gradient != 0).any(-1).all()
+    (tmp_path / "hopper-ppo" / "critic.safetensors").unlink()
+    with pytest.raises(ValueError, match="no Q-function"):
+        models.load_victim("hopper", "ppo", tmp_path).q(obs, action)
+
+
+@pytest.mark.parametrize("harm", [truncate, alter, replace_by_pickle])
+@pytest.mark.parametrize("name", ["critic.safetensors", "critic.json"])
+def test_a_harmed_critic_is_refused_by_name(tmp_path, ppo, harm, name):
+    harm(tmp_path / "hopper-ppo" / name)
+    with pytest.raises(ArtifactError, match=name):
+        models.load_victim("hopper", "ppo", tmp_path)
+
+
+@pytest.mark.parametrize(
+    "card",
+    [{}, dict(CARD, critic=[14, 9, 1]), dict(CARD, critic=[11, 8, 1]), dict(CARD, activation="elu")],
+)
+def test_a_critic_that_does_not_fit_is_refused(tmp_path, ppo, card):
+    manifest.write_json(tmp_path / "hopper-ppo" / "critic.json", card, tmp_path)
+    with pytest.raises(ArtifactError, match="critic.safetensors does not fit its sidecar"):
+        models.load_victim("hopper", "ppo", tmp_path)
+
+
+def test_weights_whose_sidecar_cannot_be_written_are_not_replaced(root):
+    path = root / "hopper-td3" / "victim.safetensors"
+    before = everything(root)
+    with pytest.raises(ValueError):
+        tensors.save_tensors(path, make_victim(seed=9).state_dict(), dict(mean=float("nan")), root)
+    assert everything(root) == before
+
+
+def everything(root) -> dict[str, bytes]:
+    return {path.relative_to(root).as_posix(): path.read_bytes() for path in root.rglob("*") if path.is_file()}
+
+
+FULL_DISK = """
+import json, pathlib, resource, signal, sys
+import torch
+from detden_lite.store import manifest, tensors, models
+from detden_lite.results import records
+from detden_lite.core import files
+from detden_lite.core.types import Trajectories
+from detden_lite.defense.training import VAERecipe, train_gruvae
+
+root, large = pathlib.Path(sys.argv[1]), "x" * 10_000
+waves = Trajectories(torch.rand(8, 20, 3).numpy(), torch.full((8,), 20).numpy())
+
+def train(after_epoch=None):
+    train_gruvae(VAERecipe(epochs=2, batch=4), [(waves, waves)], 0, root / "model.ckpt", after_epoch)
+
+def interrupt(*_):
+    raise KeyboardInterrupt
+
+try:
+    train(interrupt)
+except KeyboardInterrupt:
+    kept = (root / "model.ckpt").read_bytes()
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+
+def try_with(quota, write, *arguments):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (quota, resource.RLIM_INFINITY))
+    try:
+        write(*arguments)
+    except files.ArtifactError as error:
+        print(error)
+    else:
+        print("written")
+
+cell, victim = root / "results" / "cell.json", root / "hopper-td3" / "victim.safetensors"
+manifest = (root / "manifest.json").stat().st_size
+try_with(1_000, manifest.write_bytes, cell, large.encode(), root)
+try_with(1_000, manifest.write_json, root / "results" / "new.json", dict(more=large), root)
+try_with(1_000, tensors.save_tensors, victim, dict(weight=torch.zeros(5_000)), dict(step=8), root)
+try_with(1_000, tensors.save_tensors, victim, dict(weight=torch.zeros(5)), dict(more=large), root)
+try_with(manifest, manifest.write_json, root / "results" / "more.json", dict(mean=2.5), root)
+try_with(1_000, train)
+assert (root / "model.ckpt").read_bytes() == kept
+try_with(resource.RLIM_INFINITY, train)  # it goes on from there
+assert (root / "model.ckpt").read_bytes() != kept
+(root / "model.ckpt").unlink()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such quota")
+def test_a_full_disk_leaves_every_file_as_it_was(root):
+    """A quota of this many bytes a file. In the fifth case there is room for the file, but not for the manifest."""
+    before = everything(root)
+    found = subprocess.run([sys.executable, "-c", FULL_DISK, str(root)], capture_output=True, text=True, check=True)
+    lines = found.stdout.splitlines()
+    names = ["cell.json", "new.json", "victim.safetensors", "victim.json", "manifest.json", "model.ckpt"]
+    assert lines.pop() == "written"
+    for line, name in zip(lines, names, strict=True):
+        assert re.search(rf"{name} could not be written \(.+\); free some space and run again$", line)
+    assert everything(root) == before  # and so nothing by the name of .new
+    assert manifest.is_made(root / "hopper-td3" / "victim.safetensors", root)
+
+
+KILLED_WRITE = """
+import os, pathlib, signal, sys
+from detden_lite.store import manifest, tensors, models
+from detden_lite.results import records
+
+root, victim = pathlib.Path(sys.argv[1]), sys.argv[2]
+write_whole = pathlib.Path.write_bytes
+
+def write(self, content):
+    if self.name != victim:
+        return write_whole(self, content)
+    with open(self, "wb") as file:
+        file.write(content[: len(content) // 2])
+        file.flush()
+        os.kill(os.getpid(), signal.SIGKILL)
+
+pathlib.Path.write_bytes = write
+manifest.write_json(root / "results" / "cell.json", dict(mean=2.5, more="x" * 1000), root)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
+@pytest.mark.parametrize("name", ["cell.json.new", "cell.json"])
+def test_a_kill_in_the_middle_of_a_write_leaves_the_old_file(root, name):
+    """The process dies with half of the new content written; to the file itself it never writes."""
+    status = subprocess.run([sys.executable, "-c", KILLED_WRITE, str(root), name]).returncode
+    assert (status, records.load_record("cell", root)["mean"]) == ((-9, 1.5) if name.endswith(".new") else (0, 2.5))
+    manifest.write_json(root / "results" / "cell.json", dict(mean=3.5), root)
+    assert records.load_record("cell", root) == dict(mean=3.5)
+
+
+def test_writers_side_by_side_all_stand_in_the_manifest(tmp_path):
+    def write(i):
+        manifest.write_json(tmp_path / f"{i}.json", dict(i=i), tmp_path)
+
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(write, range(100)))
+    assert set(json.loads((tmp_path / "manifest.json").read_text())) == {f"{i}.json" for i in range(100)}
+
+
+@pytest.mark.parametrize("kind", ["optimal", "linear"])
+def test_an_adversary_goes_to_disk_and_back(tmp_path, kind):
+    adversary, obs = Victim([11, 8, 11] if kind == "optimal" else [11, 11], gaussian=True), normal(5, 11)
+    models.save_adversary("hopper", "td3", kind, adversary, dict(step=7), tmp_path)
+    assert torch.equal(models.load_adversary("hopper", "td3", kind, tmp_path)(obs), adversary(obs))
+    other = "linear" if kind == "optimal" else "optimal"
+    with pytest.raises(ArtifactError, match="adversary.*is missing"):
+        models.load_adversary("hopper", "td3", other, tmp_path)
+
+
+def test_what_is_no_adversary_is_refused(tmp_path):
+    models.save_adversary("hopper", "td3", "optimal", make_victim(), {}, tmp_path)
+    with pytest.raises(ArtifactError, match="adversary.safetensors does not fit .*11 observations to 3 perturbations"):
+        models.load_adversary("hopper", "td3", "optimal", tmp_path)
+    with pytest.raises(ValueError, match="kind must be one of optimal, linear, adaptive-optimal, not 'best'"):
+        models.load_adversary("hopper", "td3", "best", tmp_path)

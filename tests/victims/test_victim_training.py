@@ -1,0 +1,268 @@
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from builders import HOPPER, normal
+from safetensors.torch import load_file
+
+from detden_lite.core.tasks import get_task
+from detden_lite.simulation.training_worlds import task_worlds, train_victim
+from detden_lite.victims import training
+from detden_lite.victims.recipes import PPORecipe, TD3Recipe
+from detden_lite.victims.victim import Victim
+
+RECIPES = dict(
+    td3=TD3Recipe(steps=1_000, segment=200, net=16, batch=16, buffer=500, learning_starts=100),
+    ppo=PPORecipe(steps=1_280, segment=256, net=16, envs=4, rollout=32, batch=32, epochs=2),
+)
+WORLDS = partial(task_worlds, HOPPER)
+TRAIN = """
+from pathlib import Path
+from detden_lite.simulation import training_worlds
+from detden_lite.core.tasks import get_task
+from detden_lite.victims.recipes import PPORecipe, TD3Recipe
+from detden_lite.simulation.training_worlds import train_victim
+import sys
+train_victim(get_task("hopper"), {recipe}, 0, Path(sys.argv[1]), checkpoint_seconds=0)
+"""
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in (folder / "snapshots").iterdir()}
+
+
+def states(folder: Path) -> list[dict]:
+    return [load_file(path) for path in sorted((folder / "snapshots").iterdir())]
+
+
+@pytest.fixture(scope="module", params=RECIPES)
+def algo(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def recipe(algo):
+    return RECIPES[algo]
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory, recipe) -> Path:
+    folder = tmp_path_factory.mktemp("uninterrupted")
+    train_victim(HOPPER, recipe, 0, folder)
+    return folder
+
+
+def test_every_segment_leaves_a_victim(uninterrupted, recipe):
+    ends = range(recipe.segment, recipe.steps + 1, recipe.segment)
+    assert sorted(contents(uninterrupted)) == [f"{steps:08d}.safetensors" for steps in ends]
+    victims = [Victim.from_state(recipe.config(HOPPER), state) for state in states(uninterrupted)]
+    actions, values = [v(normal(5, 11)) for v in victims], [v.value(normal(5, 11)) for v in victims]
+    for outputs in (actions, values):  # it learned on
+        assert all(not torch.allclose(a, b) for a, b in zip(outputs[:-1], outputs[1:], strict=True))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
+def test_a_training_that_is_killed_and_resumed_is_one_that_never_stopped(tmp_path, uninterrupted, recipe):
+    code = TRAIN.format(recipe=recipe)
+    process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stderr=subprocess.DEVNULL)
+    while process.poll() is None and not (tmp_path / "checkpoint" / "segments.json").exists():
+        time.sleep(0.005)
+    process.send_signal(signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+    assert 1 <= len(contents(tmp_path)) < 5
+    train_victim(HOPPER, recipe, 0, tmp_path)
+    assert contents(tmp_path) == contents(uninterrupted)
+
+
+def saved_model(folder: Path, recipe):
+    return recipe.resume(WORLDS, folder / "checkpoint")
+
+
+def test_a_checkpoint_remembers_the_returns_of_the_last_episodes(uninterrupted, recipe):
+    """The progress bar shows their mean; a resumed run would begin with none."""
+    model = saved_model(uninterrupted, recipe)
+    assert model.num_timesteps == recipe.steps
+    assert len(model.ep_info_buffer) > 5 and all(np.isfinite(episode["r"]) for episode in model.ep_info_buffer)
+
+
+def test_ppo_keeps_the_statistics_of_its_normaliser_from_segment_to_segment():
+    """They count every observation and become the victim's first layer; rewards have statistics of their own."""
+    recipe = RECIPES["ppo"]
+    model = recipe.start(WORLDS, 0)
+    for segment in range(2):
+        recipe.begin_segment(model, WORLDS, segment / 2)
+        model.set_random_seed(segment)
+        model.learn(recipe.segment, reset_num_timesteps=False)
+    statistics = model.get_vec_normalize_env()
+    assert statistics.obs_rms.count == pytest.approx(2 * (recipe.segment + recipe.envs), abs=1)
+    assert statistics.ret_rms.count == pytest.approx(2 * recipe.segment, abs=1)
+    victim = Victim.from_sb3(model, statistics)
+    assert np.allclose(victim.obs_mean, statistics.obs_rms.mean, atol=1e-6) and (victim.obs_std != 1).all()
+
+
+def test_td3_may_normalise_by_what_its_buffer_held_when_a_segment_began(tmp_path):
+    """Nothing before the first; and a run that is resumed normalises as one that never stopped."""
+    recipe = replace(RECIPES["td3"], envs=2, updates=10, normalize=True, learning_starts=200, buffer=2_000, steps=600)
+    train_victim(HOPPER, recipe, 0, tmp_path / "whole")
+    train_victim(HOPPER, replace(recipe, steps=400), 0, tmp_path / "resumed")
+    train_victim(HOPPER, recipe, 0, tmp_path / "resumed")
+    assert contents(tmp_path / "whole") == contents(tmp_path / "resumed")
+    model, (first, _, last) = saved_model(tmp_path / "whole", recipe), states(tmp_path / "whole")
+    before = model.replay_buffer.observations[:200].reshape(400, 11)  # of 600, in two environments
+    assert (first["obs_mean"] == 0).all() and torch.allclose(first["obs_std"], torch.ones(11))
+    assert np.allclose(last["obs_mean"], before.mean(0), atol=1e-5)
+    assert np.allclose(last["obs_std"], before.std(0), rtol=1e-3)
+
+
+def test_td3_cannot_normalise_by_a_buffer_that_is_empty():
+    with pytest.raises(ValueError, match="learning_starts: there is nothing to normalise by"):
+        replace(RECIPES["td3"], normalize=True)
+
+
+def test_a_checkpoint_of_ppo_holds_its_normaliser(tmp_path):
+    recipe = replace(RECIPES["ppo"], steps=256)
+    train_victim(HOPPER, recipe, 0, tmp_path)
+    loaded = saved_model(tmp_path, recipe).get_vec_normalize_env()
+    (state,) = states(tmp_path)
+    assert np.allclose(loaded.obs_rms.mean, state["obs_mean"], atol=1e-6)
+    assert loaded.ret_rms.var > 0 and loaded.ret_rms.count > 256
+
+
+def test_the_learning_rate_of_ppo_falls_from_segment_to_segment_to_zero():
+    recipe = RECIPES["ppo"]
+    model, rates = recipe.start(WORLDS, 0), []
+    for done in (0, 0.4, 0.8):
+        recipe.begin_segment(model, WORLDS, done)
+        model.learn(recipe.envs * recipe.rollout, reset_num_timesteps=False)
+        for state in (model.policy.actor_state, model.policy.vf_state):
+            rates.append(float(state.opt_state[1].hyperparams["learning_rate"]))
+    assert rates == pytest.approx([share * recipe.learning_rate for share in (1, 1, 0.6, 0.6, 0.2, 0.2)])
+
+
+def test_a_kill_between_two_checkpoints_loses_neither(tmp_path, uninterrupted, recipe):
+    """The old one has been put aside, the new one is not yet in its place."""
+    folder = shutil.copytree(uninterrupted, tmp_path / "copy")
+    os.rename(folder / "checkpoint", folder / "checkpoint.old")
+    (folder / "checkpoint.new").mkdir()
+    shutil.rmtree(folder / "snapshots")
+    assert train_victim(HOPPER, recipe, 0, folder) == []  # it goes on after the last segment, and does nothing anew
+    assert (folder / "checkpoint" / "model.zip").exists()
+
+
+def test_a_finished_training_is_not_repeated(uninterrupted, recipe):
+    before = contents(uninterrupted), (uninterrupted / "checkpoint" / "model.zip").stat().st_mtime_ns
+    train_victim(HOPPER, recipe, 0, uninterrupted)
+    assert (contents(uninterrupted), (uninterrupted / "checkpoint" / "model.zip").stat().st_mtime_ns) == before
+
+
+def test_a_finished_training_of_td3_can_be_prolonged_and_one_of_ppo_cannot(tmp_path, uninterrupted, recipe, algo):
+    folder = shutil.copytree(uninterrupted, tmp_path / "copy")
+    longer = replace(recipe, steps=recipe.steps + recipe.segment)
+    if algo == "td3":
+        assert len(train_victim(HOPPER, longer, 0, folder)) == 6
+    else:
+        with pytest.raises(ValueError, match="recipe.json describes another run"):
+            train_victim(HOPPER, longer, 0, folder)
+
+
+@pytest.mark.parametrize("change", [dict(seed=1), dict(net=8), dict(learning_rate=1.0), dict(task="walker2d")])
+def test_a_folder_with_another_run_is_refused(uninterrupted, recipe, change):
+    before = (uninterrupted / "recipe.json").read_text()
+    seed, task = change.get("seed", 0), get_task(change.get("task", "hopper"))
+    other = replace(recipe, **{key: value for key, value in change.items() if key not in ("seed", "task")})
+    with pytest.raises(ValueError, match="recipe.json describes another run"):
+        train_victim(task, other, seed, uninterrupted)
+    assert (uninterrupted / "recipe.json").read_text() == before
+
+
+def test_a_folder_with_another_algorithms_run_is_refused(uninterrupted, algo):
+    other = RECIPES["ppo" if algo == "td3" else "td3"]
+    with pytest.raises(ValueError, match="recipe.json describes another run"):
+        train_victim(HOPPER, other, 0, uninterrupted)
+
+
+@pytest.mark.parametrize(
+    ("algo", "change"),
+    [
+        ("td3", dict(steps=1_100)),
+        ("td3", dict(segment=130)),
+        ("td3", dict(envs=3)),
+        ("ppo", dict(steps=1_300)),
+        ("ppo", dict(segment=200)),
+        ("ppo", dict(envs=3)),
+    ],
+)
+def test_segments_that_do_not_add_up_are_refused(algo, change):
+    with pytest.raises(ValueError, match="multiple"):
+        replace(RECIPES[algo], **change)
+
+
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory, recipe) -> Path:
+    """A run that was interrupted after its first checkpoint."""
+
+    class Interrupting(training.tqdm):
+        def update(self, n=1):
+            raise KeyboardInterrupt
+
+    folder = tmp_path_factory.mktemp("begun")
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(training, "tqdm", Interrupting)
+        train_victim(HOPPER, recipe, 0, folder, checkpoint_seconds=0)
+    assert len(contents(folder)) == 1
+    return folder
+
+
+QUOTAS = {100: "recipe.json", 1_000: "safetensors", 30_000: "checkpoint"}  # bytes, and what is too large for them
+FULL_DISK = """
+import resource, signal, sys
+from pathlib import Path
+from detden_lite.core.files import ArtifactError
+from detden_lite.simulation import training_worlds
+from detden_lite.core.tasks import get_task
+from detden_lite.victims.recipes import PPORecipe, TD3Recipe
+from detden_lite.simulation.training_worlds import train_victim
+
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+for quota in sys.argv[2:]:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (int(quota), resource.RLIM_INFINITY))
+    try:
+        train_victim(get_task("hopper"), {recipe}, 0, Path(sys.argv[1]) / quota)
+    except ArtifactError as error:
+        print(error)
+"""
+
+
+def everything(folder: Path) -> dict[str, bytes]:
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such quota")
+def test_a_full_disk_leaves_the_last_checkpoint_whole(tmp_path, begun, uninterrupted, recipe):
+    for quota in QUOTAS:
+        shutil.copytree(begun, tmp_path / str(quota))
+    code = FULL_DISK.format(recipe=recipe)
+    stopped = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path), *map(str, QUOTAS)], capture_output=True, text=True
+    )
+    assert stopped.returncode == 0 and "Exception" not in stopped.stderr
+    messages, before = stopped.stdout.splitlines(), everything(begun)
+    assert len(messages) == len(QUOTAS)
+    for message, (quota, refused) in zip(messages, QUOTAS.items(), strict=True):
+        assert re.search(rf"{refused} could not be written \(.+\); free some space and run again$", message)
+        after = everything(tmp_path / str(quota))
+        assert before.items() <= after.items() and not [name for name in after if ".new" in name or ".old" in name]
+        assert not (tmp_path / str(quota) / "checkpoint.new").exists()
+        assert len(contents(tmp_path / str(quota))) == (5 if refused == "checkpoint" else 1)
+    train_victim(HOPPER, recipe, 0, tmp_path / str(quota))  # there is room again
+    assert contents(tmp_path / str(quota)) == contents(uninterrupted)
