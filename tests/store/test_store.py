@@ -225,12 +225,12 @@ def try_with(quota, write, *arguments):
         print("written")
 
 cell, victim = root / "results" / "cell.json", root / "hopper-td3" / "victim.safetensors"
-manifest = (root / "manifest.json").stat().st_size
+size = (root / "manifest.json").stat().st_size
 try_with(1_000, manifest.write_bytes, cell, large.encode(), root)
 try_with(1_000, manifest.write_json, root / "results" / "new.json", dict(more=large), root)
 try_with(1_000, tensors.save_tensors, victim, dict(weight=torch.zeros(5_000)), dict(step=8), root)
 try_with(1_000, tensors.save_tensors, victim, dict(weight=torch.zeros(5)), dict(more=large), root)
-try_with(manifest, manifest.write_json, root / "results" / "more.json", dict(mean=2.5), root)
+try_with(size, manifest.write_json, root / "results" / "more.json", dict(mean=2.5), root)
 try_with(1_000, train)
 assert (root / "model.ckpt").read_bytes() == kept
 try_with(resource.RLIM_INFINITY, train)  # it goes on from there
