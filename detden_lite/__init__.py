@@ -88,15 +88,18 @@ _MODULES = (
     "looking.films", "defense.variants", "recipe.bound_along_training", "recipe.latent_noise",
 )  # fmt: skip
 _HOME = {name: module for module, names in _FACE.items() for name in names.split()}
-_HOME |= {module.rpartition(".")[2]: module for module in _MODULES}
-__all__ = ["__version__", *sorted(_HOME)]
+_WHOLE = {module.rpartition(".")[2]: module for module in _MODULES}
+__all__ = ["__version__", *sorted(_HOME | _WHOLE)]
 
 
 def __getattr__(name: str) -> object:
-    if name not in _HOME:
+    if name in _WHOLE:
+        value = import_module(f"{__name__}.{_WHOLE[name]}")
+    elif name in _HOME:
+        value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = import_module(f"{__name__}.{_HOME[name]}")
-    value = globals()[name] = module if _HOME[name] in _MODULES else getattr(module, name)
+    globals()[name] = value
     return value
 
 
