@@ -5,6 +5,7 @@ import torch
 from torch import Tensor
 
 from detden_lite.core import metrics
+from detden_lite.core.distances import mahalanobis
 from detden_lite.core.random_streams import RandomStreams
 from detden_lite.core.types import Episodes
 from detden_lite.defense.denoiser import Denoiser
@@ -42,8 +43,8 @@ def noise_of(victim: Victim) -> Tensor:
 def total_variations(victim: Victim, episodes: Episodes) -> Tensor:
     """Exact TV between the actions for what was true and for what was shown, of each step, ``[n]``."""
     true, shown = (torch.from_numpy(x[episodes.mask]) for x in (episodes.obs, episodes.shown))
-    cov = torch.diag(noise_of(victim).square())
-    return bound.total_variation(bound.mahalanobis(victim.mean(true), victim.mean(shown), cov))
+    squared = mahalanobis(victim.mean(true), victim.mean(shown), std=noise_of(victim))
+    return bound.total_variation(squared.sqrt())
 
 
 def play(run: Run, victim: Victim, n: int, attack=None, defense=None) -> Episodes:

@@ -51,7 +51,7 @@ def defend(
         env: where it acts: the id of a gymnasium MuJoCo task, or an environment made of nothing but its id.
         budget: what the attacker may do, in raw units of the observations unless it has a ``scale``.
         scale: "tiny" for a try (seconds), "lite" for what the book ships (tens of minutes), "paper" for the paper's
-            sizes, or sizes of your own: see ``detden_lite.scales.defense_scale``.
+            sizes, or sizes of your own: see ``detden_lite.defense_scale``.
         folder: where everything is kept; it holds one policy for each task and algorithm.
         vecnormalize: the ``VecNormalize`` that a model was trained in, if any.
         seed: of the trainings.
@@ -62,7 +62,7 @@ def defend(
         ArtifactError: if the disk is full, or the folder's manifest.json is damaged.
     """
     if not isinstance(budget, Budget):
-        raise ValueError(f"budget: give a detden_lite.budget.Budget, such as Budget(0.1), not {budget!r}")
+        raise ValueError(f"budget: give a detden_lite.Budget, such as Budget(0.1), not {budget!r}")
     if not isinstance(victim, Victim):
         victim = Victim.from_sb3(victim, vecnormalize)
     task = task_of(env, budget)

@@ -19,7 +19,7 @@ from detden_lite.recipe.run import Run
 from detden_lite.simulation.rollout import rollout
 
 
-def view_defense(run: Run, variant: str = MAIN, n: int = 16) -> None:
+def film_opposite(run: Run, variant: str = MAIN, n: int = 16) -> None:
     """A recording, a film and stills of one report episode clean, attacked and defended.
 
     Of the first n report episodes it is the one whose attacked length is the median.
@@ -65,7 +65,7 @@ def film_attacks(
     """One report episode clean and under each attack, in one film; and for each attack a recording with a still.
 
     The attacks begin when the robot is on its way. Of the first n report episodes it is the one that lives for the
-    median number of steps, summed over the attacks. A recording of the opposite attack is made by ``look``.
+    median number of steps, summed over the attacks. ``film_opposite`` records the opposite attack.
     """
     from detden_lite.looking import films, recordings
 

@@ -1,45 +1,74 @@
 """The folder of a run: which victim at which scale."""
 
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Generic, TypeVar
 
 from detden_lite.attacks.opposite import OppositeAttack
 from detden_lite.attacks.qfunction import QFunctionAttack
 from detden_lite.attacks.threat import Threat
 from detden_lite.core.budget import Budget
 from detden_lite.core.tasks import Task, get_task
+from detden_lite.core.types import Attack
 from detden_lite.defense.pipeline import DetectAndDenoise
 from detden_lite.defense.variants import PARTS
-from detden_lite.recipe.scales import DefenseScale, get_scale
+from detden_lite.recipe.scales import DefenseScale, Scale, get_scale
 from detden_lite.store import manifest, models, tensors
 from detden_lite.victims.victim import Victim
 
-ADVERSARIAL = dict(zip(PARTS, (OppositeAttack, QFunctionAttack), strict=True))  # which attack makes which part of D_adv
+# Which attack makes which part of D_adv.
+ADVERSARIAL: dict[str, Callable[..., Attack]] = dict(zip(PARTS, (OppositeAttack, QFunctionAttack), strict=True))
+
+Sizes = TypeVar("Sizes", bound=DefenseScale, covariant=True)
 
 
 @dataclass(frozen=True)
-class Run:
-    """A victim's folder of a run at one scale. ``root`` is laid out as data/ is, with a manifest of its own."""
+class Run(Generic[Sizes]):
+    """A victim's folder of a run at one scale.
+
+    ``root`` is laid out as data/ is, with a manifest of its own. A ``Run[DefenseScale]`` has the sizes of a defence; a
+    ``Run[Scale]`` has those of the whole recipe.
+
+    Args:
+        root: of the run.
+        task: where the victim acts.
+        algo: the victim's algorithm.
+        scale: how large everything is.
+        ball: what the attacker may do; None for the paper's ball, of the task's radius.
+
+    Example:
+        >>> from detden_lite import Run
+        >>> run = Run.of("runs/tiny", "hopper", "td3", "tiny")
+        >>> run.folder.as_posix(), run.budget.epsilon, run.scale.episodes
+        ('runs/tiny/hopper-td3', 0.075, 4)
+    """
 
     root: Path
     task: Task
     algo: str
-    scale: DefenseScale  # a Scale, for the stages that do more than to make a defence
-    ball: Budget | None = None  # None: the paper's, of the task's radius
+    scale: Sizes
+    ball: Budget | None = None
 
-    @classmethod
-    def of(cls, root: Path, task: str, algo: str, scale: str) -> "Run":
-        """The run with these names; a ValueError for one that does not exist."""
+    @staticmethod
+    def of(root: str | Path, task: str, algo: str, scale: str) -> "Run[Scale]":
+        """The run with these names.
+
+        Raises:
+            ValueError: for a name that does not exist; it lists those that do.
+        """
         found = get_task(task)
-        return cls(Path(root), found, algo, get_scale(scale, found, algo))
+        return Run(Path(root), found, algo, get_scale(scale, found, algo))
 
     @property
     def folder(self) -> Path:
+        """Where everything of the victim is."""
         return self.root / f"{self.task.name}-{self.algo}"
 
     @property
     def budget(self) -> Budget:
+        """What the attacker may do."""
         return self.ball or Budget(self.task.epsilon)
 
     def forget_others(self, victim: Victim) -> None:
@@ -56,13 +85,15 @@ class Run:
                 shutil.rmtree(path)
 
     def victim(self) -> Victim:
+        """The chosen victim."""
         return models.load_victim(self.task.name, self.algo, self.root)
 
     def defense(self, variant: str) -> DetectAndDenoise:
+        """A trained defence, a key of ``VARIANTS``."""
         return models.load_defense(self.task.name, self.algo, variant, self.root)
 
-    def threat(self) -> Threat:
-        """The attacker of the evaluations, with the timing that was tuned and the adversaries that are there."""
+    def threat(self: "Run[Scale]") -> Threat:
+        """The attacker of the evaluations, with the tuned timing and the adversaries that are there."""
         tuned = manifest.read_json(self.folder / "timing.json", self.root)
         row = (self.task.name, self.algo)
         adversaries = {
@@ -73,8 +104,10 @@ class Run:
         return replace(self.untimed_threat, c_vul=tuned["c_vul"], rate=tuned["attack_rate"], adversaries=adversaries)
 
     @property
-    def untimed_threat(self) -> Threat:
+    def untimed_threat(self: "Run[Scale]") -> Threat:
+        """The attacker before the timing is tuned and adversaries are trained."""
         return Threat(self.budget, self.scale.attack_steps, planner=self.scale.planner, adaptive=self.scale.adaptive)
 
     def opposite(self, victim: Victim) -> OppositeAttack:
+        """The opposite attack with the scale's steps."""
         return OppositeAttack(victim, self.budget, steps=self.scale.attack_steps)

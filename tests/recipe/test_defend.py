@@ -26,6 +26,7 @@ from detden_lite.recipe.defend import task_of
 from detden_lite.recipe.run import Run
 from detden_lite.recipe.scales import defense_scale
 from detden_lite.recipe.trajectories import load_trajectories, save_shard
+from detden_lite.results import records
 from detden_lite.store import manifest, models, tensors
 from detden_lite.victims.victim import Victim
 
@@ -224,7 +225,7 @@ def test_a_task_of_the_paper_keeps_the_papers_sizes_and_the_time_limit_is_the_en
 def test_the_package_itself_loads_nothing_and_defending_needs_no_trainer():
     script = "import sys, detden_lite; assert 'torch' not in sys.modules; detden_lite.defend; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.split()
-    assert "detden_lite.own" in loaded and not {"stable_baselines3", "sbx", "jax", "matplotlib"} & set(loaded)
+    assert "detden_lite.recipe.defend" in loaded and not {"stable_baselines3", "sbx", "jax", "matplotlib"} & set(loaded)
     with pytest.raises(AttributeError, match="defense_of"):
         detden_lite.defense_of  # noqa: B018
 
@@ -233,8 +234,8 @@ def test_the_stage_of_the_recipe_defends_its_victim_and_writes_down_how_that_wen
     models.save_victim("swimmer", "ppo", make_victim(SWIMMER, gaussian=True), {}, tmp_path)
     stage = ["defend", "--task", "swimmer", "--algo", "ppo", "--scale", "tiny", "--root", str(tmp_path)]
     main(stage)
-    records = {path.stem for path in (tmp_path / "results").glob("*.json")}
-    assert records == {f"swimmer-ppo.{a}.always.{d}" for a in ("none", "uniform", "opposite") for d in ("none", MAIN)}
+    made = {path.stem for path in (tmp_path / "results").glob("*.json")}
+    assert made == {f"swimmer-ppo.{a}.always.{d}" for a in ("none", "uniform", "opposite") for d in ("none", MAIN)}
     sweep = manifest.read_json(tmp_path / "swimmer-ppo" / "sizes.json", tmp_path)
     for name, found in sweep.items():
         for attack, rows in found["attacks"].items():

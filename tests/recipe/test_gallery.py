@@ -41,12 +41,12 @@ def test_all_attacks_are_filmed_side_by_side_and_recorded_one_by_one(tmp_path):
     assert {"films/hopper-td3-attacks.mp4", "recordings/hopper-td3-qfunction.rrd"} <= set(found)
 
 
-def test_an_episode_under_an_attack_that_rings_no_alarm_is_recorded(tmp_path):
+def test_an_episode_under_a_stealthy_attack_is_recorded(tmp_path):
     ship_victim(tmp_path)
     models.save_model("hopper", "td3", "detector-diverse", make_gruvae(), dict(threshold=1.0), tmp_path)
     models.save_model("hopper", "td3", f"denoiser-{MAIN}", make_gruvae(), dict(data="diverse"), tmp_path)
     manifest.write_json(tmp_path / "hopper-td3" / "timing.json", dict(c_vul=0.0, attack_rate=0.5), tmp_path)
     command = 'main(["slip", "--root", sys.argv[1]])'
-    run_with_gl(f"import sys\nfrom detden_lite.__main__ import main\n{command}", tmp_path)
+    run_with_gl(f"import sys\nfrom detden_lite.recipe.cli import main\n{command}", tmp_path)
     assert Image.open(tmp_path / "films" / "hopper-td3-stealthy.png").size == (900, 300 + renderer.CAPTION)
     assert (tmp_path / "recordings" / "hopper-td3-stealthy.rrd").stat().st_size > 10_000

@@ -1,3 +1,4 @@
+import inspect
 import json
 import os
 import re
@@ -7,6 +8,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,9 @@ import torch
 from builders import HOPPER, normal
 from safetensors.torch import load_file, save_file
 
+from detden_lite.attacks.catalogue import ATTACKS
 from detden_lite.core.budget import Budget
+from detden_lite.core.tasks import ALGORITHMS, SCALES, TASK_NAMES
 from detden_lite.defense import variants
 from detden_lite.defense.detector import Detector
 from detden_lite.defense.thresholds import calibrate, clean_scores
@@ -24,6 +28,7 @@ from detden_lite.recipe import defense_stages, trajectories
 from detden_lite.recipe.cli import main
 from detden_lite.recipe.episode_seeds import seeds
 from detden_lite.recipe.run import ADVERSARIAL, Run
+from detden_lite.recipe.stage_list import GROUPS, STAGES
 from detden_lite.recipe.trajectories import load_shard, load_trajectories
 from detden_lite.results import cells, records
 from detden_lite.simulation.rollout import rollout
@@ -284,6 +289,7 @@ def test_a_stage_out_of_order_says_what_is_missing(tiny, tmp_path, stage, made, 
 INTERRUPTED = """
 import sys
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from detden_lite.results import cells
 from detden_lite.recipe import trajectories, defense_stages
@@ -394,22 +400,58 @@ def test_an_error_is_one_line_and_no_traceback(tmp_path):
     assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
 
 
-def test_help_lists_the_stages_in_their_order(capsys):
+def test_help_lists_every_stage_under_its_group(capsys):
     with pytest.raises(SystemExit) as stop:
         main(["--help"])
     assert stop.value.code == 0
     printed = capsys.readouterr().out
-    places = [re.search(rf"\n    {stage}\s", printed).start() for stage in PPO_ORDER]
-    assert places == sorted(places)
+    listed, group = {}, None
+    for line in printed.splitlines():
+        group = next((name for name, title in GROUPS.items() if line == f"{title}:"), group)
+        if group and (stage := re.match(r"  (\w+)  +\S", line)):
+            listed[stage[1]] = group
+    assert listed == {stage.name: stage.group for stage in STAGES.values()}
 
 
-@pytest.mark.parametrize("arguments", [[], ["fly"], ["select", "--task", "chess"], ["select", "--scale", "huge"]])
-def test_what_the_command_line_does_not_know_it_refuses(arguments, capsys):
+@pytest.mark.parametrize("stage", STAGES.values(), ids=list(STAGES))
+def test_a_stage_runs_a_function_that_takes_its_options(stage):
+    module, name = stage.function.split(":")
+    parameters = inspect.signature(getattr(import_module(f"detden_lite.{module}"), name)).parameters
+    assert list(parameters)[0] == ("run" if stage.row else "root")
+    assert {option.removeprefix("--") for option in stage.options} <= set(parameters)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "names"),
+    [
+        ([], ["STAGE"]),
+        (["fly"], list(STAGES)),
+        (["select", "--task", "chess"], list(TASK_NAMES)),
+        (["select", "--algo", "sac"], list(ALGORITHMS)),
+        (["select", "--scale", "huge"], list(SCALES)),
+        (["denoiser", "--variant", "prayer"], list(variants.VARIANTS)),
+        (["evaluate", "--attacks", "prayer"], list(ATTACKS)),
+        (["victim", "--seed", "1.5"], ["--seed"]),
+        (["select", "--seed", "1"], ["--seed"]),
+    ],
+)
+def test_an_unknown_argument_exits_2_and_lists_the_choices(arguments, names, capsys):
     with pytest.raises(SystemExit) as stop:
         main(arguments)
-    assert stop.value.code == 2 and "usage" in capsys.readouterr().err
+    printed = capsys.readouterr().err
+    assert stop.value.code == 2 and printed.startswith("usage: detden")
+    assert all(name in printed.splitlines()[-1] for name in names)
 
 
-def test_only_what_is_built_can_be_run():
-    with pytest.raises(ValueError, match="'sac'; choose one of: td3, ppo"):
-        Run.of(Path("runs"), "hopper", "sac", "tiny")
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (("chess", "td3", "tiny"), "unknown task 'chess'; choose one of: hopper"),
+        (("hopper", "sac", "tiny"), "unknown algorithm 'sac'; choose one of: td3, ppo"),
+        (("hopper", "td3", "huge"), "unknown scale 'huge'; choose one of: tiny, lite, paper"),
+        (("swimmer", "td3", "lite"), "no recipe for swimmer with td3; choose one of: ppo"),
+    ],
+)
+def test_a_run_of_an_unknown_name_lists_the_names(names, message):
+    with pytest.raises(ValueError, match=message):
+        Run.of("runs", *names)
