@@ -6,13 +6,16 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from detden_lite.core.arguments import check_whole
 from detden_lite.core.budget import Budget
 from detden_lite.core.gradients import value_and_gradient
 from detden_lite.core.random_streams import RandomStreams
 
+Objective = Callable[[Tensor], Tensor]
+
 
 def ascend(
-    objective: Callable[[Tensor], Tensor],
+    objective: Objective,
     obs: Tensor,
     budget: Budget,
     streams: RandomStreams | None,
@@ -39,8 +42,7 @@ def ascend(
     Returns:
         ``[N, obs_dim]``, inside the ball. As the best point met is kept, row by row, more restarts are never weaker.
     """
-    if steps < 1 or restarts < 1:
-        raise ValueError(f"steps and restarts must be at least 1, not {steps} and {restarts}")
+    check_whole(1, steps=steps, restarts=restarts)
     if step_size is None:
         step_size = budget.epsilon * (2.5 / steps if steps > 1 else 1.0)
     starts = [budget.sample(obs, streams) if streams is not None else obs for _ in range(restarts)]
@@ -53,7 +55,9 @@ def ascend(
     return _climb(objective, obs, budget, starts, steps, step_size)
 
 
-def _climb(objective, obs: Tensor, budget: Budget, starts: list[Tensor], steps: int, step_size: float) -> Tensor:
+def _climb(
+    objective: Objective, obs: Tensor, budget: Budget, starts: list[Tensor], steps: int, step_size: float
+) -> Tensor:
     slope = getattr(objective, "value_and_gradient", None) or partial(value_and_gradient, objective)
     best = Best(obs)
     project = budget.projection(obs)
@@ -75,7 +79,7 @@ class Best:
         point: ``[n, obs_dim]``, which any value above minus infinity beats.
     """
 
-    def __init__(self, point: Tensor):
+    def __init__(self, point: Tensor) -> None:
         self.point, self.value = point, torch.full(point.shape[:1], -torch.inf, dtype=point.dtype)
 
     def meet(self, point: Tensor, value: Tensor) -> None:

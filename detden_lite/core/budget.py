@@ -4,10 +4,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from math import inf
+from numbers import Real
 
 import torch
 from torch import Tensor
 
+from detden_lite.core.arguments import check_between
 from detden_lite.core.random_streams import RandomStreams
 
 
@@ -18,28 +20,49 @@ class Budget:
     Args:
         epsilon: the radius, in units of ``scale``.
         norm: inf, 2 or 1.
-        scale: 1.0 for the paper's ball in raw units, or ``[obs_dim]`` numbers, such as an observation normaliser's
-            standard deviations (the convention of Zhang et al., 2021).
+        scale: 1.0 for the paper's ball in raw units, or ``[obs_dim]`` numbers (any sequence; kept as a float32 tensor),
+            such as an observation normaliser's standard deviations (the convention of Zhang et al., 2021).
 
     Raises:
-        ValueError: for a negative or infinite epsilon, another norm, or a scale that is not positive and finite.
+        ValueError: for a negative or infinite epsilon, another norm, or a scale that is not positive and finite; and
+            from the methods, if the scale has another length than the observations.
+
+    Example:
+        >>> budget, obs = Budget(0.1), torch.zeros(1, 3)
+        >>> budget.project(obs, torch.tensor([[0.5, -0.05, -2.0]]))
+        tensor([[ 0.1000, -0.0500, -0.1000]])
+        >>> budget.contains(obs, obs + 0.2)
+        tensor([False])
     """
 
     epsilon: float
     norm: float = inf
     scale: float | Tensor = 1.0
 
-    def __post_init__(self):
-        if not 0 <= self.epsilon < inf:
-            raise ValueError(f"epsilon must be a finite number of at least 0, not {self.epsilon}")
+    def __post_init__(self) -> None:
+        check_between(0, inf, epsilon=self.epsilon)
         if self.norm not in (inf, 2, 1):
-            raise ValueError(f"norm must be inf, 2 or 1, not {self.norm}")
-        scale = torch.as_tensor(self.scale)
-        if not ((scale > 0) & scale.isfinite()).all():
-            raise ValueError(f"scale must be positive and finite everywhere, not {self.scale}")
+            raise ValueError(f"norm must be inf, 2 or 1, not {self.norm!r}")
+        try:
+            scale = torch.as_tensor(self.scale, dtype=torch.float32)
+        except (TypeError, ValueError, RuntimeError):
+            raise ValueError(f"scale must be a number, or one for each observation, not {self.scale!r}") from None
+        if scale.ndim > 1 or not scale.numel() or not ((scale > 0) & scale.isfinite()).all():
+            raise ValueError(
+                f"scale must be a number or one row of them, positive and finite everywhere, not {self.scale}"
+            )
+        # A plain number stays one: it is exact, and 1.0 is skipped in ``steepest``.
+        object.__setattr__(self, "scale", float(self.scale) if isinstance(self.scale, Real) else scale)
+
+    def _check_length(self, obs: Tensor) -> None:
+        if isinstance(self.scale, Tensor) and self.scale.numel() not in (1, obs.shape[-1]):
+            raise ValueError(
+                f"scale: it has {self.scale.numel()} numbers, and an observation {obs.shape[-1]}; give one for each"
+            )
 
     def size(self, obs: Tensor, perturbed: Tensor) -> Tensor:
         """||(perturbed - obs) / scale||, ``[N]``."""
+        self._check_length(obs)
         return torch.linalg.vector_norm((perturbed - obs) / self.scale, ord=self.norm, dim=-1)
 
     def contains(self, obs: Tensor, perturbed: Tensor, atol: float = 1e-5) -> Tensor:
@@ -50,6 +73,7 @@ class Budget:
         """The point of B(obs) that is nearest to ``perturbed`` (in l2, after dividing by scale), ``[N, obs_dim]``."""
         if self.norm == inf:
             return self.projection(obs)(perturbed)
+        self._check_length(obs)
         delta = (perturbed - obs) / self.scale
         if self.norm == 1:
             delta = _soft_threshold(delta, self.epsilon)  # exact but for rounding, which the next lines take back
@@ -58,6 +82,7 @@ class Budget:
 
     def projection(self, obs: Tensor) -> Callable[[Tensor], Tensor]:
         """``project`` on the balls of these observations, for many calls."""
+        self._check_length(obs)
         if self.norm == inf:
             radius = self.epsilon * self.scale
             low, high = obs - radius, obs + radius
@@ -79,6 +104,7 @@ class Budget:
 
     def sample(self, obs: Tensor, streams: RandomStreams) -> Tensor:
         """A uniformly random point of B(obs), ``[N, obs_dim]``."""
+        self._check_length(obs)
         n, dim = obs.shape
         if self.norm == inf:
             delta = 2 * streams.uniform(n, dim) - 1

@@ -20,13 +20,14 @@ class Backprop:
         dtype: float32, or bfloat16, in which processors with AMX multiply matrices several times as fast.
     """
 
-    def __init__(self, net: nn.Sequential, dtype: torch.dtype = torch.float32):
+    def __init__(self, net: nn.Sequential, dtype: torch.dtype = torch.float32) -> None:
         linears = [layer for layer in net if isinstance(layer, nn.Linear)]
         self.weights = [layer.weight.detach().to(dtype).contiguous() for layer in linears]
         self.biases = [layer.bias.detach().to(dtype) for layer in linears]
         # A network ends in a linear layer, or in a tanh of its own.
         self.activations = [type(net[2 * i + 1]) if 2 * i + 1 < len(net) else None for i in range(len(linears))]
-        self.dtype, self.buffers = dtype, {}
+        self.dtype = dtype
+        self.buffers: dict[str, Tensor] = {}
 
     def forward(self, x: Tensor) -> Tensor:
         """The network's output ``[N, n_out]`` for ``x`` ``[N, n_in]``; both float32."""

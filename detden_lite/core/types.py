@@ -52,10 +52,10 @@ class Episodes:
         """Steps of each episode, ``[N]``."""
         return self.mask.sum(0)
 
-    def select(self, index: Sequence[int]) -> Episodes:
-        """The episodes at these positions."""
-        index = np.asarray(index)
-        return Episodes(self.seeds[index], *(getattr(self, f.name)[:, index] for f in fields(self)[1:]))
+    def select(self, index: Sequence[int] | np.ndarray) -> Episodes:
+        """The episodes at these positions, or where a mask ``[N]`` is True."""
+        rows = np.asarray(index)
+        return Episodes(self.seeds[rows], *(getattr(self, f.name)[:, rows] for f in fields(self)[1:]))
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Trajectories:
     def __len__(self) -> int:
         return len(self.lengths)
 
-    def select(self, index) -> Trajectories:
+    def select(self, index: slice | Sequence[int] | np.ndarray) -> Trajectories:
         """The trajectories at these positions (a slice or an array)."""
         return Trajectories(self.obs[index], self.lengths[index])
 

@@ -106,13 +106,49 @@ def test_samples_are_uniform_in_the_ball(norm):
         ((-0.1,), "epsilon"),
         ((float("nan"),), "epsilon"),
         ((float("inf"),), "epsilon"),
+        (("0.1",), "epsilon"),
         ((0.1, 3), "norm"),
+        ((0.1, float("nan")), "norm"),
+        ((0.1, "inf"), "norm"),
         ((0.1, 2, 0.0), "scale"),
         ((0.1, 2, torch.tensor([1.0, -1.0])), "scale"),
         ((0.1, 2, torch.tensor([1.0, float("inf")])), "scale"),
         ((0.1, 2, float("nan")), "scale"),
+        ((0.1, 2, "wide"), "scale"),
+        ((0.1, 2, []), "scale"),
+        ((0.1, 2, np.ones((2, 3))), "scale"),
     ],
 )
-def test_what_is_no_ball_is_refused_by_name(arguments, name):
+def test_a_ball_that_is_none_is_refused_by_name(arguments, name):
     with pytest.raises(ValueError, match=name):
         Budget(*arguments)
+
+
+@pytest.mark.parametrize("norm", NORMS)
+@pytest.mark.parametrize("make", [np.array, list, lambda scale: torch.tensor(scale, dtype=torch.float64)])
+def test_every_kind_of_scale_is_the_same_float32_scale(norm, make):
+    numbers, obs, far = [0.5, 1.0, 2.0], normal(4, 3), normal(4, 3, seed=1) * 9
+    budget, expected = Budget(0.3, norm, make(numbers)), Budget(0.3, norm, torch.tensor(numbers))
+    for found, same in (
+        (budget.project(obs, far), expected.project(obs, far)),
+        (budget.sample(obs, RandomStreams(0)), expected.sample(obs, RandomStreams(0))),
+        (budget.steepest(far), expected.steepest(far)),
+        (budget.size(obs, far), expected.size(obs, far)),
+    ):
+        assert found.dtype == torch.float32 and torch.equal(found, same)
+
+
+def test_a_scale_that_is_one_number_stays_a_plain_number():
+    assert [type(Budget(0.1, scale=scale).scale) for scale in (1, 1.0, np.float64(2.0))] == [float] * 3
+
+
+@pytest.mark.parametrize("norm", NORMS)
+@pytest.mark.parametrize("length", [2, 4])
+def test_a_scale_of_another_length_is_refused_at_first_use(norm, length):
+    budget, obs = Budget(0.1, norm, [1.0] * length), normal(5, 3)
+    for use in (
+        lambda: budget.project(obs, obs), lambda: budget.projection(obs), lambda: budget.contains(obs, obs),
+        lambda: budget.sample(obs, RandomStreams(0)),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=f"scale: it has {length} numbers, and an observation 3"):
+            use()

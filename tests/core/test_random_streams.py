@@ -44,6 +44,21 @@ def test_rows_that_do_not_fit_the_episodes_are_refused():
         RandomStreams(0, [1, 2]).normal(3, 4)
 
 
+@pytest.mark.parametrize("seed", [-1, 1.5, "a", None])
+def test_a_seed_that_is_no_whole_number_is_refused(seed):
+    with pytest.raises(ValueError, match="seed must be a whole number of at least 0"):
+        RandomStreams(seed)
+    with pytest.raises(ValueError, match="the seed of an episode must be a whole number of at least 0"):
+        RandomStreams(0, [1, seed])
+    with pytest.raises(ValueError, match="the seed of an episode must be"):
+        RandomStreams(0, [1]).restart(0, seed)
+
+
+def test_streams_without_any_episode_are_refused():
+    with pytest.raises(ValueError, match="episodes is empty"):
+        RandomStreams(0, [])
+
+
 def test_a_row_may_begin_another_episode_while_the_others_go_on():
     streams, beside, anew = RandomStreams(3, [5, 7]), RandomStreams(3, [5]), RandomStreams(3, [9])
     streams.normal(2, 4), beside.normal(1, 4)
