@@ -1,13 +1,14 @@
 """The list of attacks: everything that tables, figures, pages and the command line know of an attack is here.
 
-To add an attack, write its module, and add one entry here. An entry's maker imports the module when it is called, so
-that reading the list loads no network.
+To add an attack, write its module, and add one entry here. An entry names the class, whose module is imported when the
+attack is made, so that reading the list loads no network.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -16,9 +17,10 @@ if TYPE_CHECKING:
     from detden_lite.core.types import Attack
     from detden_lite.victims.victim import Victim
 
-Maker = Callable[["Threat", "Victim", "Task"], "Attack"]
+    Arguments = Callable[[Threat, Victim, Task], dict[str, object]]
+
 TIMINGS = ("always", "vulnerable", "random")
-FORMS = ("text", "appendix")  # in which the paper prints its adaptive attacks: in section 4.4, and in appendix B
+FORMS = dict(text="section 4.4", appendix="appendix B")  # where the paper prints its adaptive attacks, in two forms
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,9 @@ class AttackEntry:
         title: in tables and figures.
         group: "control" for what an attack must beat, "paper" for the paper's four, "unaware" for others that do not
             know the defence, "aware" for those that know it.
-        make: makes the attack for (threat, victim, task).
+        kind: the class, with its module in this package: "noise.UniformNoise".
+        needs: what it knows beside the observation; see ``detden_lite.core.types.Attack``.
+        arguments: the class's arguments, for (threat, victim, task).
         colour: where several attacks share a figure; None for one that is not drawn.
         slow: whether it plans, or searches for each observation, so that fewer episodes are reported.
         unaware: of an attack that knows the defence, the name of the one that does not.
@@ -39,113 +43,89 @@ class AttackEntry:
     name: str
     title: str
     group: str
-    make: Maker
+    kind: str
+    needs: frozenset[str]
+    arguments: Arguments
     colour: str | None = None
     slow: bool = False
     unaware: str | None = None
 
-
-def _uniform(threat: Threat, victim: Victim, task: Task) -> Attack:
-    from detden_lite.attacks.noise import UniformNoise
-
-    return UniformNoise(threat.budget)
-
-
-def _gaussian(threat: Threat, victim: Victim, task: Task) -> Attack:
-    from detden_lite.attacks.noise import GaussianNoise
-
-    return GaussianNoise(threat.budget)
+    def make(self, threat: Threat, victim: Victim, task: Task) -> Attack:
+        """The attack on this victim in this task."""
+        module, name = self.kind.split(".")
+        kind = getattr(import_module(f"detden_lite.attacks.{module}"), name)
+        return kind(**self.arguments(threat, victim, task))
 
 
-def _fgsm(threat: Threat, victim: Victim, task: Task) -> Attack:
-    from detden_lite.attacks.opposite import OppositeAttack
-
-    return OppositeAttack(victim, threat.budget, steps=1)
+def _ball(threat: Threat, victim: Victim, task: Task) -> dict[str, object]:
+    return dict(budget=threat.budget)
 
 
-def _opposite(threat: Threat, victim: Victim, task: Task) -> Attack:
-    from detden_lite.attacks.opposite import OppositeAttack
-
-    return OppositeAttack(victim, threat.budget, threat.steps, threat.restarts)
+def _one_step(threat: Threat, victim: Victim, task: Task) -> dict[str, object]:
+    return dict(victim=victim, budget=threat.budget, steps=1)
 
 
-def _qfunction(threat: Threat, victim: Victim, task: Task) -> Attack:
-    from detden_lite.attacks.qfunction import QFunctionAttack
-
-    return QFunctionAttack(victim, threat.budget, threat.steps, threat.restarts)
+def _ascent(threat: Threat, victim: Victim, task: Task) -> dict[str, object]:
+    return dict(victim=victim, budget=threat.budget, steps=threat.steps, restarts=threat.restarts)
 
 
-def _enchanting(threat: Threat, victim: Victim, task: Task) -> Attack:
-    from detden_lite.attacks.enchanting import EnchantingAttack
+def _planned(threat: Threat, victim: Victim, task: Task) -> dict[str, object]:
     from detden_lite.simulation.planner import CEMPlanner
 
-    planner = CEMPlanner(task.env_id, **threat.planner)
-    return EnchantingAttack(victim, threat.budget, planner, threat.steps, threat.restarts)
+    return _ascent(threat, victim, task) | dict(planner=CEMPlanner(task.env_id, **threat.planner))
 
 
-def _learned(name: str) -> Maker:
-    def make(threat: Threat, victim: Victim, task: Task) -> Attack:
-        from detden_lite.attacks.optimal import OptimalAttack
-
+def _learned(name: str) -> Arguments:
+    def arguments(threat: Threat, victim: Victim, task: Task) -> dict[str, object]:
         if name not in threat.adversaries:
             raise ValueError(f"adversaries: the {name} one is missing; run its stage first, or give one of your own")
-        return OptimalAttack(threat.adversaries[name], threat.budget)
+        return dict(adversary=threat.adversaries[name], budget=threat.budget)
 
-    return make
-
-
-def _printed(form: str, unaware: str) -> Maker:
-    def make(threat: Threat, victim: Victim, task: Task) -> Attack:
-        from detden_lite.attacks.printed import PrintedAttack
-
-        return PrintedAttack(CATALOGUE[unaware].make(threat, victim, task), form)
-
-    return make
+    return arguments
 
 
-def _adaptive(unaware: str) -> Maker:
-    def make(threat: Threat, victim: Victim, task: Task) -> Attack:
-        from detden_lite.attacks.adaptive import AdaptiveAttack
+_POLICY, _ADVERSARY = frozenset({"policy"}), frozenset({"adversary"})
+_CRITIC, _SIMULATOR = _POLICY | {"critic"}, _POLICY | {"simulator"}
+_OPPOSITE, _OPTIMAL = "opposite.OppositeAttack", "optimal.OptimalAttack"
+_ENTRIES = [
+    AttackEntry("uniform", "uniform noise", "control", "noise.UniformNoise", frozenset(), _ball, "#E69F00"),
+    AttackEntry("gaussian", "Gaussian noise", "control", "noise.GaussianNoise", frozenset(), _ball),
+    AttackEntry("fgsm", "FGSM", "control", _OPPOSITE, _POLICY, _one_step),
+    AttackEntry("opposite", "opposite", "paper", _OPPOSITE, _POLICY, _ascent, "#D55E00"),
+    AttackEntry("qfunction", "Q-function", "paper", "qfunction.QFunctionAttack", _CRITIC, _ascent, "#CC79A7"),
+    AttackEntry("optimal", "optimal", "paper", _OPTIMAL, _ADVERSARY, _learned("optimal"), "#56B4E9"),
+    AttackEntry(
+        "enchanting", "enchanting", "paper", "enchanting.EnchantingAttack", _SIMULATOR, _planned, "#1a1a1a", slow=True
+    ),
+    AttackEntry("linear", "linear adversary", "unaware", _OPTIMAL, _ADVERSARY, _learned("linear"), "#767676"),
+]
 
-        return AdaptiveAttack(CATALOGUE[unaware].make(threat, victim, task), **threat.adaptive)
 
-    return make
+def _aware(way: str, name: str, title: str, kind: str, settings: Mapping[str, str] | None = None) -> AttackEntry:
+    """An attack that is made of the one of this name; its settings are by default the threat's for adaptive attacks."""
+    unaware = next(entry for entry in _ENTRIES if entry.name == name)
+
+    def arguments(threat: Threat, victim: Victim, task: Task) -> dict[str, object]:
+        return dict(attack=unaware.make(threat, victim, task), **(threat.adaptive if settings is None else settings))
+
+    whole, needs = f"{unaware.title}, {title}", unaware.needs | {"defense"}
+    return AttackEntry(f"{way}-{name}", whole, "aware", kind, needs, arguments, slow=True, unaware=name)
 
 
-def _coupled(threat: Threat, victim: Victim, task: Task) -> Attack:
-    from detden_lite.attacks.adaptive import CoupledAttack
-
-    return CoupledAttack(_opposite(threat, victim, task), **threat.adaptive)
-
-
-_ENTRIES = (
-    AttackEntry("uniform", "uniform noise", "control", _uniform, "#E69F00"),
-    AttackEntry("gaussian", "Gaussian noise", "control", _gaussian),
-    AttackEntry("fgsm", "FGSM", "control", _fgsm),
-    AttackEntry("opposite", "opposite", "paper", _opposite, "#D55E00"),
-    AttackEntry("qfunction", "Q-function", "paper", _qfunction, "#CC79A7"),
-    AttackEntry("optimal", "optimal", "paper", _learned("optimal"), "#56B4E9"),
-    AttackEntry("enchanting", "enchanting", "paper", _enchanting, "#1a1a1a", slow=True),
-    AttackEntry("linear", "linear adversary", "unaware", _learned("linear"), "#767676"),
+_GRADIENT = ("opposite", "qfunction", "enchanting")
+_ENTRIES += [
     *(
-        AttackEntry(f"{form}-{name}", f"{title}, as in {place}", "aware", _printed(form, name), slow=True, unaware=name)
-        for form, place in zip(FORMS, ("section 4.4", "appendix B"), strict=True)
-        for name, title in (("opposite", "opposite"), ("qfunction", "Q-function"), ("enchanting", "enchanting"))
+        _aware(form, name, f"as in {place}", "printed.PrintedAttack", dict(form=form))
+        for form, place in FORMS.items()
+        for name in _GRADIENT
     ),
+    *(_aware("adaptive", name, "adaptive", "adaptive.AdaptiveAttack") for name in _GRADIENT),
     AttackEntry(
-        "adaptive-opposite", "opposite, adaptive", "aware", _adaptive("opposite"), slow=True, unaware="opposite"
+        "adaptive-optimal", "optimal, adaptive", "aware", _OPTIMAL, _ADVERSARY, _learned("adaptive-optimal"),
+        slow=True, unaware="optimal",
     ),
-    AttackEntry(
-        "adaptive-qfunction", "Q-function, adaptive", "aware", _adaptive("qfunction"), slow=True, unaware="qfunction"
-    ),
-    AttackEntry(
-        "adaptive-enchanting", "enchanting, adaptive", "aware", _adaptive("enchanting"), slow=True, unaware="enchanting"
-    ),
-    AttackEntry(
-        "adaptive-optimal", "optimal, adaptive", "aware", _learned("adaptive-optimal"), slow=True, unaware="optimal"
-    ),
-    AttackEntry("coupled-opposite", "opposite, drifting", "aware", _coupled, slow=True, unaware="opposite"),
-)
+    _aware("coupled", "opposite", "drifting", "adaptive.CoupledAttack"),
+]  # fmt: skip
 CATALOGUE = {entry.name: entry for entry in _ENTRIES}
 
 

@@ -10,20 +10,21 @@ from detden_lite.victims.action_gradients import ActionObjective
 from detden_lite.victims.victim import Victim
 
 
-def opposite_objective(victim: Victim, obs: Tensor) -> Callable[[Tensor], Tensor]:
-    """l_op(o, .): how far the policy's action moves when it sees ``[N, obs_dim]`` perturbed instead of ``obs``.
+def action_distance(victim: Victim, action: Tensor) -> Callable[[Tensor], Tensor]:
+    """l_op as a function of other actions ``[N, action_dim]``: how far each is from ``action``, ``[N]``.
 
-    For a deterministic policy this is the squared Euclidean distance of the actions, which has the same maximiser as
-    the paper's distance and a gradient everywhere; for a Gaussian one the squared Mahalanobis distance of the means.
+    For a deterministic policy this is the squared Euclidean distance, which has the same maximiser as the paper's
+    distance and a gradient everywhere. For a Gaussian one it is the squared Mahalanobis distance of the means.
     """
-    with torch.no_grad():
-        action = victim.mean(obs)
     weight = 1.0 if victim.action_std is None else victim.action_std**-2
+    return lambda other: ((other - action).square() * weight).sum(-1)
 
-    def objective(perturbed: Tensor) -> Tensor:
-        return ((victim.mean(perturbed) - action).square() * weight).sum(-1)
 
-    return objective
+def opposite_objective(victim: Victim, obs: Tensor) -> Callable[[Tensor], Tensor]:
+    """l_op(o, .): how far the policy's action moves when it sees ``[N, obs_dim]`` perturbed instead of ``obs``."""
+    with torch.no_grad():
+        distance = action_distance(victim, victim.mean(obs))
+    return lambda perturbed: distance(victim.mean(perturbed))
 
 
 class OppositeAttack(GradientAttack):
@@ -34,6 +35,4 @@ class OppositeAttack(GradientAttack):
 
     def objective(self, obs: Tensor, world=None) -> ActionObjective:
         """``opposite_objective``, with the policy's gradient by hand."""
-        action = self.policy.forward(obs).clone()
-        weight = 1.0 if self.victim.action_std is None else self.victim.action_std**-2
-        return ActionObjective(self.policy, lambda seen: ((seen - action).square() * weight).sum(-1))
+        return ActionObjective(self.policy, action_distance(self.victim, self.policy.forward(obs).clone()))

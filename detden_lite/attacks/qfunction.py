@@ -9,15 +9,22 @@ from detden_lite.victims.action_gradients import ActionObjective
 from detden_lite.victims.victim import Victim
 
 
+def badness(victim: Victim, obs: Tensor) -> Callable[[Tensor], Tensor]:
+    """-Q(o, .) as a function of actions ``[N, action_dim]``: how bad each is in the true ``obs``, ``[N]``.
+
+    Q is the mean of the critics. Where they disagree at least one is wrong, and in the mean such errors partly cancel;
+    the smallest of them would send the attacker to wherever one of them errs.
+    """
+    return lambda action: -victim.qs(obs, action).mean(0)
+
+
 def q_objective(victim: Victim, obs: Tensor) -> Callable[[Tensor], Tensor]:
     """-Q(o, pi(.)): how bad the action is that the policy takes when it sees ``[N, obs_dim]`` perturbed.
 
-    Q always sees the true ``obs``: the world is what it is, whatever the policy is shown. Q is the mean of the critics:
-    where they disagree at least one is wrong, and in the mean such errors partly cancel; the smallest of them would
-    send the attacker to wherever one of them errs.
+    Q always sees the true ``obs``, for the world is the same whatever the policy is shown.
     """
-
-    return lambda perturbed: -victim.qs(obs, victim.straight_through(perturbed)).mean(0)
+    bad = badness(victim, obs)
+    return lambda perturbed: bad(victim.straight_through(perturbed))
 
 
 class QFunctionAttack(GradientAttack):
@@ -31,4 +38,4 @@ class QFunctionAttack(GradientAttack):
 
     def objective(self, obs: Tensor, world=None) -> ActionObjective:
         """``q_objective``, with the policy's gradient by hand."""
-        return ActionObjective(self.policy, lambda action: -self.victim.qs(obs, action).mean(0))
+        return ActionObjective(self.policy, badness(self.victim, obs))
