@@ -10,9 +10,10 @@ from tqdm import tqdm
 from detden_lite.core.networks import mlp
 from detden_lite.core.types import Trajectories
 from detden_lite.defense.gruvae import LEAST_STD, reconstruction_loss
+from detden_lite.defense.memory import Memoryless
 
 
-class DenoisingAutoencoder(nn.Module):
+class DenoisingAutoencoder(Memoryless, nn.Module):
     """A perceptron from o_hat to o, which is a denoiser as it stands (see the pipeline).
 
     Args:
@@ -34,12 +35,6 @@ class DenoisingAutoencoder(nn.Module):
         x = (obs - self.obs_mean) / self.obs_std
         out = x + self.net(x) if self.config["residual"] else self.net(x)
         return out * self.obs_std + self.obs_mean
-
-    def reset(self, episodes: Sequence[int]) -> None:
-        """Begin new episodes; there is no memory."""
-
-    def restart(self, i: int, episode: int) -> None:
-        """Begin a new episode in row i; there is no memory."""
 
     @torch.no_grad()
     def step(self, obs: Tensor, action: Tensor | None = None) -> Tensor:

@@ -7,17 +7,13 @@ import torch
 from torch import Tensor
 
 from detden_lite.core.budget import Budget
+from detden_lite.core.distances import mahalanobis
 from detden_lite.defense.linear_models import Gaussian, LinearModel, steady_gain
+from detden_lite.defense.memory import Memoryless
 
 
-class Identity:
+class Identity(Memoryless):
     """The denoiser that does nothing. Its error is the attack's size: an MAE near epsilon is no merit."""
-
-    def reset(self, episodes: Sequence[int]) -> None:
-        """Begin new episodes; there is no memory."""
-
-    def restart(self, i: int, episode: int) -> None:
-        """Begin a new episode in row i; there is no memory."""
 
     def step(self, obs: Tensor, action: Tensor | None = None) -> Tensor:
         """o_hat itself, ``[N, obs_dim]``."""
@@ -57,7 +53,7 @@ class KalmanFilter:
         return filtered.to(obs.dtype)
 
 
-class MahalanobisDetector:
+class MahalanobisDetector(Memoryless):
     """An observation far from all of D_normal is an anomaly; without memory.
 
     Args:
@@ -69,15 +65,9 @@ class MahalanobisDetector:
         self.mean, self.threshold = gaussian.mean, float(threshold)
         self.factor = torch.linalg.cholesky(gaussian.covariance)
 
-    def reset(self, episodes: Sequence[int]) -> None:
-        """Begin new episodes; there is no memory."""
-
-    def restart(self, i: int, episode: int) -> None:
-        """Begin a new episode in row i; there is no memory."""
-
     def step(self, obs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """The distance from the mean ``[N]``, the alarm ``[N]`` bool, and the mean as reconstruction."""
-        score = _mahalanobis(obs - self.mean, self.factor).to(obs.dtype)
+        score = mahalanobis(obs, self.mean, factor=self.factor).sqrt().to(obs.dtype)
         return score, score > self.threshold, self.mean.to(obs.dtype).expand_as(obs)
 
 
@@ -108,10 +98,5 @@ class PredictionDetector:
         """The prediction's error ``[N]``, the alarm ``[N]`` bool, and the prediction as reconstruction."""
         expected = torch.where(self.expected.isnan(), obs, self.expected)
         self.expected = self.model.predict(obs)
-        score = _mahalanobis(obs - expected, self.factor).to(obs.dtype)
+        score = mahalanobis(obs, expected, factor=self.factor).sqrt().to(obs.dtype)
         return score, score > self.threshold, expected.to(obs.dtype)
-
-
-def _mahalanobis(deviation: Tensor, factor: Tensor) -> Tensor:
-    """sqrt(x S^-1 x) of each row ``[N, obs_dim]``, from the Cholesky factor of S; ``[N]``."""
-    return torch.linalg.solve_triangular(factor, deviation.T, upper=False).norm(dim=0)

@@ -1,12 +1,9 @@
 """The detector: an observation that its GRU-VAE cannot reproduce is an anomaly (section 3.1.1)."""
 
-from collections.abc import Sequence
-
-import torch
 from torch import Tensor
 
-from detden_lite.core.random_streams import RandomStreams
-from detden_lite.defense.gruvae import GRUVAE, forget
+from detden_lite.defense.gruvae import GRUVAE
+from detden_lite.defense.memory import Recurrent
 
 
 def linf_score(obs: Tensor, reconstruction: Tensor, scale: Tensor) -> Tensor:
@@ -17,7 +14,7 @@ def linf_score(obs: Tensor, reconstruction: Tensor, scale: Tensor) -> Tensor:
     return ((obs - reconstruction) / scale).abs().amax(-1)
 
 
-class Detector:
+class Detector(Recurrent):
     """A GRU-VAE with a threshold, remembering N episodes.
 
     Args:
@@ -29,23 +26,11 @@ class Detector:
     """
 
     def __init__(self, model: GRUVAE, threshold: float, seed: int = 2, sample: bool = True):
-        self.model, self.threshold, self.seed, self.sample = model, float(threshold), seed, sample
+        super().__init__(model, seed, sample)
+        self.threshold = float(threshold)
 
-    def reset(self, episodes: Sequence[int]) -> None:
-        """Begin new episodes, one seed each."""
-        self.state, self.streams = None, RandomStreams(self.seed, episodes)
-
-    def restart(self, i: int, episode: int) -> None:
-        """Begin a new episode in row i; the others go on."""
-        self.state = forget(self.state, i)
-        self.streams.restart(i, episode)
-
-    @torch.no_grad()
     def step(self, obs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """The score ``[N]``, the alarm ``[N]`` bool and the reconstruction o' of one observation ``[N, obs_dim]``."""
-        noise = self.streams.normal(len(obs), self.model.latent_dim)[:, None] if self.sample else None
-        result = self.model(obs[:, None], noise, self.state)
-        self.state = result.state
-        reconstruction = result.output[:, 0]
+        reconstruction = self.advance(obs)
         score = linf_score(obs, reconstruction, self.model.obs_std)
         return score, score > self.threshold, reconstruction

@@ -107,15 +107,6 @@ def sample(mean: Tensor, log_variance: Tensor, noise: Tensor | None) -> Tensor:
     return mean if noise is None else mean + (0.5 * log_variance).exp() * noise
 
 
-def forget(state: tuple[Tensor, Tensor] | None, i: int) -> tuple[Tensor, Tensor] | None:
-    """The states (see ``Reconstruction``) of N sequences with that of sequence i as it is at an episode's beginning."""
-    if state is None:
-        return None
-    others = torch.ones(state[0].shape[1], 1)
-    others[i] = 0
-    return state[0] * others, state[1] * others
-
-
 def reconstruction_loss(model: GRUVAE, output: Tensor, target: Tensor) -> Tensor:
     """-log p(o | z, h) up to a constant: half the squared z-scored error, summed over dimensions, ``[N, steps]``."""
     return 0.5 * ((output - target) / model.obs_std).square().sum(-1)

@@ -10,20 +10,11 @@ import torch
 from torch import Tensor
 
 from detden_lite.core.budget import Budget
+from detden_lite.core.distances import euclidean, mahalanobis
 from detden_lite.core.gradients import value_and_gradient
 from detden_lite.core.random_streams import RandomStreams
 from detden_lite.defense.gruvae import GRUVAE, State
 from detden_lite.victims.victim import Victim
-
-
-def euclidean(action: Tensor, reference: Tensor) -> Tensor:
-    """R_td3 = ||a - a'||_2 of actions ``[..., action_dim]``, over the last dimension; its gradient at 0 is 0."""
-    return torch.linalg.vector_norm(action - reference, dim=-1)
-
-
-def mahalanobis(action: Tensor, reference: Tensor, std: Tensor) -> Tensor:
-    """R_ppo = (a - a') Sigma^-1 (a - a') with Sigma = diag(``std``^2), ``[action_dim]``, over the last dimension."""
-    return ((action - reference) / std).square().sum(-1)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from math import inf, sqrt
 import torch
 from torch import Tensor, nn
 
+from detden_lite.core.distances import mahalanobis
 from detden_lite.core.gradients import value_and_gradient
 from detden_lite.victims.victim import Victim
 
@@ -27,23 +28,17 @@ def kl_parts(mean_1: Tensor, cov_1: Tensor, mean_2: Tensor, cov_2: Tensor) -> tu
 
     Args:
         mean_1: ``[..., d]``, where d is the number of *actions*.
-        cov_1: ``[..., d, d]``, positive definite.
+        cov_1: ``[d, d]``, positive definite.
         mean_2: ``[..., d]``.
-        cov_2: ``[..., d, d]``, positive definite.
+        cov_2: ``[d, d]``, positive definite.
 
     Returns:
-        Two tensors ``[...]``, neither of them negative.
+        A number and a tensor ``[...]``, neither of them negative.
     """
     d = cov_1.shape[-1]
     log_ratio = torch.linalg.slogdet(cov_2).logabsdet - torch.linalg.slogdet(cov_1).logabsdet
     trace = torch.linalg.solve(cov_2, cov_1).diagonal(dim1=-2, dim2=-1).sum(-1)
-    return 0.5 * (log_ratio - d + trace), 0.5 * mahalanobis(mean_1, mean_2, cov_2).square()
-
-
-def mahalanobis(mean_1: Tensor, mean_2: Tensor, cov: Tensor) -> Tensor:
-    """sqrt((mean_2 - mean_1)^T cov^-1 (mean_2 - mean_1)) ``[...]``, of means ``[..., d]`` and cov ``[..., d, d]``."""
-    whitened = torch.linalg.solve_triangular(torch.linalg.cholesky(cov), (mean_2 - mean_1).unsqueeze(-1), upper=False)
-    return torch.linalg.vector_norm(whitened.squeeze(-1), dim=-1)
+    return 0.5 * (log_ratio - d + trace), 0.5 * mahalanobis(mean_2, mean_1, factor=torch.linalg.cholesky(cov_2))
 
 
 def total_variation(distance: Tensor) -> Tensor:

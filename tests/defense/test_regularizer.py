@@ -11,7 +11,7 @@ from torch import nn
 from detden_lite.attacks.opposite import opposite_objective
 from detden_lite.core.budget import Budget
 from detden_lite.core.types import Trajectories
-from detden_lite.defense.regularizer import Regularizer, euclidean, mahalanobis
+from detden_lite.defense.regularizer import Regularizer
 from detden_lite.defense.training import VAERecipe, train_gruvae
 from detden_lite.victims.victim import Victim
 
@@ -43,14 +43,6 @@ def sequences(dim: int = 11) -> torch.Tensor:
 def attacked(regularizer, model, obs, mask=ALL, seed: int = 0, **context):
     torch.manual_seed(seed)
     return regularizer.attack(model, obs, regularizer.action(model, obs, **context), mask, **context)
-
-
-def test_the_two_distances_are_the_papers():
-    action, reference = torch.tensor([[3.0, 4.0]]), torch.tensor([[0.0, 0.0]])
-    assert euclidean(action, reference).tolist() == [5.0]
-    sigma = torch.diag(torch.tensor([0.25, 4.0]))
-    expected = action @ sigma.inverse() @ action.T
-    assert mahalanobis(action, reference, torch.tensor([0.5, 2.0])).tolist() == [expected.item()]
 
 
 @pytest.mark.parametrize("victim", VICTIMS, ids=["td3", "ppo"])
