@@ -1,4 +1,9 @@
-"""Stages and loaders of the defences that are assembled from parts: ablations, baselines and ceilings (Q4)."""
+"""Ablations, baselines and ceilings (research question Q4): two stages that make their parts, and how to assemble them.
+
+``detden_lite.defense.variants`` lists them; each name there has its maker in ``_MAKERS`` here.
+"""
+
+from collections.abc import Callable
 
 import numpy as np
 
@@ -16,20 +21,31 @@ from detden_lite.defense.thresholds import calibrate, clean_scores, tuned_thresh
 from detden_lite.defense.variants import ASSEMBLED, MAIN, VARIANTS
 from detden_lite.recipe.episode_seeds import seeds
 from detden_lite.recipe.run import Run
+from detden_lite.recipe.scales import DefenseScale, Scale
 from detden_lite.recipe.trajectories import load_trajectories
 from detden_lite.simulation.rollout import rollout
 from detden_lite.store import manifest, tensors
 
 
-def fit_baselines(run: Run, seed: int = 0) -> None:
-    """Fit the linear models, calibrate their detectors, and train the auto-encoder, on the data of the main defence."""
+def fit_baselines(run: Run[Scale], seed: int = 0) -> None:
+    """The stage: fit the linear models, calibrate their detectors and train the auto-encoder.
+
+    All use the data of the main defence. What is made already is left as it is.
+
+    Args:
+        run: where.
+        seed: of the auto-encoder's training.
+
+    Raises:
+        ValueError: if the trajectories are not collected and attacked yet.
+    """
     linear, autoencoder = run.folder / "baselines.safetensors", run.folder / "autoencoder.safetensors"
     chosen = VARIANTS[MAIN]
     normal = load_trajectories(run, f"normal-{chosen.data}")
     if not manifest.is_made(linear, run.root):
         gaussian, model = Gaussian.fit(normal), LinearModel.fit(normal)
         held_out = load_trajectories(run, "calibration")
-        detectors = dict(
+        detectors: dict[str, MahalanobisDetector | PredictionDetector] = dict(
             mahalanobis=MahalanobisDetector(gaussian, np.inf), prediction=PredictionDetector(model, np.inf)
         )
         thresholds = {name: calibrate(clean_scores(detector, held_out)) for name, detector in detectors.items()}
@@ -37,8 +53,10 @@ def fit_baselines(run: Run, seed: int = 0) -> None:
         tensors.save_tensors(linear, vars(gaussian) | vars(model), sidecar, run.root)
     if not manifest.is_made(autoencoder, run.root):
         adversarial = [load_trajectories(run, f"{part}-{chosen.data}") for part in chosen.adversarial]
-        sizes = dict(hidden=run.scale.defense.hidden, latent=run.scale.defense.latent, residual=True)
-        trained = train_autoencoder(normal, [normal, *adversarial], seed, **sizes, epochs=run.scale.memoryless_epochs)
+        trained = train_autoencoder(
+            normal, [normal, *adversarial], seed, run.scale.defense.hidden, run.scale.defense.latent, residual=True,
+            epochs=run.scale.memoryless_epochs,
+        )  # fmt: skip
         sidecar = dict(
             data=chosen.data, adversarial=chosen.adversarial, config=trained.config, seed=seed,
             epochs=run.scale.memoryless_epochs, trajectories=len(normal), versions=manifest.versions(),
@@ -46,10 +64,15 @@ def fit_baselines(run: Run, seed: int = 0) -> None:
         tensors.save_tensors(autoencoder, trained.state_dict(), sidecar, run.root)
 
 
-def tune_threshold(run: Run, n: int = 32) -> None:
-    """The paper's C_anomaly for the main defence, on tuning episodes: half of the steps attacked, at random.
+def tune_threshold(run: Run[Scale], n: int = 32) -> None:
+    """The stage: the paper's C_anomaly for the main defence, on tuning episodes.
 
-    The attacks are the two that the denoiser is trained on, so that the threshold has seen no other attack either.
+    A random half of the steps is attacked, by the two attacks that the denoiser is trained on: the threshold has seen
+    no other attack either.
+
+    Args:
+        run: where.
+        n: the number of episodes, unless the scale reports fewer.
     """
     path = run.folder / "threshold.json"
     if manifest.is_made(path, run.root):
@@ -67,7 +90,7 @@ def tune_threshold(run: Run, n: int = 32) -> None:
     manifest.write_json(path, dict(threshold=threshold, seeds=[seeds("tuning", n)[0], n]), run.root)
 
 
-def build_defense(run: Run, name: str) -> DetectAndDenoise:
+def build_defense(run: Run[DefenseScale], name: str) -> DetectAndDenoise:
     """A defence of the tables: a trained one, a key of ``VARIANTS``, or one assembled around the main one.
 
     Args:
@@ -83,46 +106,86 @@ def build_defense(run: Run, name: str) -> DetectAndDenoise:
     if name not in ASSEMBLED:
         raise ValueError(f"defense must be one of {', '.join((*VARIANTS, *ASSEMBLED))}, not {name!r}")
     main = run.defense(MAIN)
-    detector, denoiser = main.detector, main.denoiser
-    match name:
-        case "always":
-            return DetectAndDenoise(detector, denoiser, always=True)
-        case "projected":
-            return DetectAndDenoise(detector, denoiser, budget=run.budget)
-        case "detector-only":
-            return DetectAndDenoise(detector)
-        case "latent-mean":
-            detector = Detector(detector.model, detector.threshold, sample=False)
-            return DetectAndDenoise(detector, Denoiser(denoiser.model, sample=False))
-        case "tuned":
-            tuned = manifest.read_json(run.folder / "threshold.json", run.root)["threshold"]
-            return DetectAndDenoise(Detector(detector.model, tuned), denoiser)
-        case "identity":
-            return DetectAndDenoise(detector, Identity())
-        case "autoencoder":
-            return DetectAndDenoise(detector, _autoencoder(run))
-        case "oracle-detector":
-            return DetectAndDenoise(OracleDetector(), denoiser)
-        case "oracle-denoiser":
-            return DetectAndDenoise(detector, OracleDenoiser())
-    gaussian, model, thresholds = _linear(run)
-    match name:
-        case "kalman":
-            return DetectAndDenoise(detector, KalmanFilter(model, run.budget))
-        case "mahalanobis":
-            return DetectAndDenoise(MahalanobisDetector(gaussian, thresholds[name]), denoiser)
-        case "prediction":
-            return DetectAndDenoise(PredictionDetector(model, thresholds[name]), denoiser)
+    if not isinstance(main.detector, Detector) or not isinstance(main.denoiser, Denoiser):
+        raise TypeError(f"{MAIN}: the main defence must have a GRU-VAE as detector and another as denoiser")
+    return _MAKERS[name](run, main.detector, main.denoiser)
 
 
-def _linear(run: Run) -> tuple[Gaussian, LinearModel, dict[str, float]]:
+def _always(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
+    return DetectAndDenoise(detector, denoiser, always=True)
+
+
+def _projected(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
+    return DetectAndDenoise(detector, denoiser, budget=run.budget)
+
+
+def _detector_only(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
+    return DetectAndDenoise(detector)
+
+
+def _latent_mean(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
+    quiet = Detector(detector.model, detector.threshold, sample=False)
+    return DetectAndDenoise(quiet, Denoiser(denoiser.model, sample=False))
+
+
+def _tuned(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
+    tuned = manifest.read_json(run.folder / "threshold.json", run.root)["threshold"]
+    return DetectAndDenoise(Detector(detector.model, tuned), denoiser)
+
+
+def _identity(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
+    return DetectAndDenoise(detector, Identity())
+
+
+def _kalman(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
+    _, model, _ = _linear_models(run)
+    return DetectAndDenoise(detector, KalmanFilter(model, run.budget))
+
+
+def _autoencoder(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
+    state, sidecar = tensors.load_tensors(run.folder / "autoencoder.safetensors", run.root)
+    model = DenoisingAutoencoder(**sidecar["config"])
+    model.load_state_dict(state)
+    return DetectAndDenoise(detector, model.requires_grad_(False).eval())
+
+
+def _mahalanobis(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
+    gaussian, _, thresholds = _linear_models(run)
+    return DetectAndDenoise(MahalanobisDetector(gaussian, thresholds["mahalanobis"]), denoiser)
+
+
+def _prediction(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
+    _, model, thresholds = _linear_models(run)
+    return DetectAndDenoise(PredictionDetector(model, thresholds["prediction"]), denoiser)
+
+
+def _oracle_detector(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
+    return DetectAndDenoise(OracleDetector(), denoiser)
+
+
+def _oracle_denoiser(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
+    return DetectAndDenoise(detector, OracleDenoiser())
+
+
+def _linear_models(run: Run[DefenseScale]) -> tuple[Gaussian, LinearModel, dict[str, float]]:
+    """Both linear models, and the thresholds of the detectors that use them."""
     state, sidecar = tensors.load_tensors(run.folder / "baselines.safetensors", run.root)
     gaussian = Gaussian(state.pop("mean"), state.pop("covariance"))
     return gaussian, LinearModel(**state), sidecar["thresholds"]
 
 
-def _autoencoder(run: Run) -> DenoisingAutoencoder:
-    state, sidecar = tensors.load_tensors(run.folder / "autoencoder.safetensors", run.root)
-    model = DenoisingAutoencoder(**sidecar["config"])
-    model.load_state_dict(state)
-    return model.requires_grad_(False).eval()
+# How each name of ``ASSEMBLED`` is made from the networks of the main defence.
+_MAKERS: dict[str, Callable[[Run[DefenseScale], Detector, Denoiser], DetectAndDenoise]] = {
+    "always": _always,
+    "detector-only": _detector_only,
+    "latent-mean": _latent_mean,
+    "projected": _projected,
+    "tuned": _tuned,
+    "identity": _identity,
+    "kalman": _kalman,
+    "autoencoder": _autoencoder,
+    "mahalanobis": _mahalanobis,
+    "prediction": _prediction,
+    "oracle-detector": _oracle_detector,
+    "oracle-denoiser": _oracle_denoiser,
+}

@@ -9,10 +9,10 @@ from detden_lite.defense.training import VAERecipe
 from detden_lite.victims.critic import QRecipe
 from detden_lite.victims.recipes import AdversaryRecipe, PPORecipe, TD3Recipe
 
-# What the shipped victims are trained with; the paper says nothing of its victims' training. It has no Swimmer.
 _PPO = PPORecipe(envs=32, rollout=64, batch=128)
 
-VICTIMS = {
+# The recipes of the shipped victims. The paper does not say how its victims were trained, and has no Swimmer.
+VICTIMS: dict[tuple[str, str], TD3Recipe | PPORecipe] = {
     ("hopper", "td3"): TD3Recipe(steps=500_000),
     ("walker2d", "td3"): TD3Recipe(steps=500_000),
     ("halfcheetah", "td3"): TD3Recipe(steps=540_000),
@@ -33,15 +33,15 @@ VICTIMS = {
     ),
 }  # fmt: skip
 
-TINY_VICTIMS = {
+TINY_VICTIMS: dict[str, TD3Recipe | PPORecipe] = {
     "td3": TD3Recipe(steps=1_000, segment=500, net=32, batch=32, buffer=1_000, learning_starts=200),
     "ppo": PPORecipe(steps=1_024, segment=512, net=32, envs=4, rollout=64, epochs=2),
 }
 
-# Of the enchanting attack: what is reported, and in the sweep of what planning costs, how far and how hard it searches.
+# The planner of the enchanting attack in the reported cells; below, those of the sweep of what planning costs.
 PLANNER = dict(horizon=10, population=8, iterations=1, elites=2)
 
-# Ant, TD3, on 8 tuning episodes of 400 steps: one step ahead left -221, three -158, and ten, ten times as dear, -127.
+# Ant, TD3, on 8 tuning episodes of 400 steps: one step ahead left -221, three -158, and ten -127 at ten times the cost.
 PLANNER_OF = {"ant": PLANNER | dict(horizon=1)}
 
 PLANNERS = (
@@ -58,7 +58,7 @@ TINY_PLANNER = dict(horizon=3, population=8, iterations=1, elites=2)
 
 TINY_PLANNERS = (TINY_PLANNER, TINY_PLANNER | dict(horizon=5))
 
-# The grid of the optimal attack; the paper says nothing of its training. At the paper's scale it is as large as ATLA's.
+# The grid of the optimal attack. The paper does not say how it was trained; at the paper's scale it is of ATLA's size.
 LITE_ADVERSARIES = (
     AdversaryRecipe(timing="always"),
     AdversaryRecipe(timing="always", learning_rate=3e-3),
@@ -80,13 +80,21 @@ TINY_ADVERSARIES = tuple(
 
 @dataclass(frozen=True)
 class DefenseScale:
-    """Sizes of the making of a defence, whoever the victim is.
+    """The sizes of a defence, for any victim.
 
     Args:
         defense: of both networks and their trainings.
         trajectories: episodes of D_normal; half as many more are held out for the threshold.
         horizon: the longest episode, in steps of the environment.
         attack_steps: gradient steps of the offline attacks.
+
+    Raises:
+        ValueError: if ``defense`` is no ``VAERecipe``, or a number is no whole number of at least 1.
+
+    Example:
+        >>> from detden_lite import DefenseScale, VAERecipe
+        >>> DefenseScale(VAERecipe(hidden=16, epochs=2), trajectories=8, horizon=50, attack_steps=3).horizon
+        50
     """
 
     defense: VAERecipe
@@ -94,20 +102,47 @@ class DefenseScale:
     horizon: int
     attack_steps: int
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.defense, VAERecipe):
+            raise ValueError(f"defense must be a detden_lite.VAERecipe, not {self.defense!r}")
+        for name in ("trajectories", "horizon", "attack_steps"):
+            number = getattr(self, name)
+            if not isinstance(number, int) or isinstance(number, bool) or number < 1:
+                raise ValueError(f"{name} must be a whole number of at least 1, not {number!r}")
+
 
 @dataclass(frozen=True)
 class Scale(DefenseScale):
-    """Sizes of one run of the whole pipeline."""
+    """The sizes of one run of the whole recipe.
+
+    Args:
+        victim: of its training.
+        critic: of the Q-function of a PPO victim.
+        memoryless_epochs: of the auto-encoder without memory.
+        episodes: of each reported cell.
+        planned_episodes: of the cells whose attack plans or knows the defence, which takes long.
+        adaptive: arguments of ``AdaptiveAttack``.
+        planner: arguments of ``CEMPlanner``.
+        planners: of the sweep of planners.
+        adversaries: the grid of the optimal attack.
+        linear: of the search for the linear adversary.
+
+    Example:
+        >>> from detden_lite import get_scale, get_task
+        >>> scale = get_scale("lite", get_task("hopper"), "td3")
+        >>> scale.episodes, scale.trajectories, scale.defense.hidden
+        (100, 512, 64)
+    """
 
     victim: TD3Recipe | PPORecipe
     critic: QRecipe
-    memoryless_epochs: int  # of the auto-encoder without memory
-    episodes: int  # of each reported cell
-    planned_episodes: int  # of those whose attack plans or knows the defence, which takes long
-    adaptive: Mapping[str, int]  # arguments of ``AdaptiveAttack``
-    planner: Mapping[str, int]  # arguments of ``CEMPlanner``
-    planners: tuple[Mapping[str, int], ...]  # of the sweep of planners
-    adversaries: tuple[AdversaryRecipe, ...]  # the grid of the optimal attack
+    memoryless_epochs: int
+    episodes: int
+    planned_episodes: int
+    adaptive: Mapping[str, int]
+    planner: Mapping[str, int]
+    planners: tuple[Mapping[str, int], ...]
+    adversaries: tuple[AdversaryRecipe, ...]
     linear: LinearRecipe
 
 
@@ -118,16 +153,20 @@ def defense_scale(name: str, task: Task) -> DefenseScale:
     if name == "tiny":
         tiny = VAERecipe(hidden=16, layers=1, latent=8, epochs=2, batch=4, chunk=25)
         return DefenseScale(tiny, trajectories=8, horizon=50, attack_steps=3)
-    sizes = dict(hidden=task.hidden, layers=task.layers, latent=task.latent)
     if name == "lite":
         # Small batches and long steps go further in the same time: HalfCheetah's detector, trained for 2 minutes,
         # missed 6 % of held-out attacked observations; with table 5's, trained for 4, it missed 15 %.
         # Ant's and Humanoid's networks are half as wide as table 5's, with one layer, or a training would take hours:
         # at 348 observations a core gets through 7,000 steps a second with 256 units, and 12,000 with 128.
-        sizes |= dict(hidden=min(task.hidden, 128), layers=1)
-        recipe = VAERecipe(**sizes, epochs=15 if task.hidden < 128 else 10, batch=32, learning_rate=3e-3)
+        recipe = VAERecipe(
+            hidden=min(task.hidden, 128), layers=1, latent=task.latent,
+            epochs=15 if task.hidden < 128 else 10, batch=32, learning_rate=3e-3,
+        )  # fmt: skip
         return DefenseScale(recipe, trajectories=512, horizon=task.horizon, attack_steps=20)
-    recipe = VAERecipe(**sizes, epochs=task.epochs, batch=task.batch, learning_rate=task.learning_rate)
+    recipe = VAERecipe(
+        hidden=task.hidden, layers=task.layers, latent=task.latent, epochs=task.epochs, batch=task.batch,
+        learning_rate=task.learning_rate,
+    )  # fmt: skip
     return DefenseScale(recipe, trajectories=task.trajectories, horizon=task.horizon, attack_steps=20)
 
 

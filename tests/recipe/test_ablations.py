@@ -44,6 +44,10 @@ def error(episodes) -> np.ndarray:
     return np.abs(episodes.denoised - episodes.obs)[episodes.mask]
 
 
+def test_every_assembled_defence_has_one_maker():
+    assert list(ablations._MAKERS) == list(variants.ASSEMBLED)
+
+
 @pytest.mark.parametrize("name", variants.ASSEMBLED)
 def test_every_assembled_defence_runs_and_differs_from_the_main_one(run, name):
     main, other = play(run, ablations.build_defense(run, MAIN)), play(run, ablations.build_defense(run, name))

@@ -22,9 +22,9 @@ from detden_lite.core.budget import Budget
 from detden_lite.core.tasks import SWIMMER
 from detden_lite.defense.variants import MAIN
 from detden_lite.recipe.cli import main
-from detden_lite.recipe.defend import task_of
 from detden_lite.recipe.run import Run
 from detden_lite.recipe.scales import defense_scale
+from detden_lite.recipe.task_from_env import task_of
 from detden_lite.recipe.trajectories import load_trajectories, save_shard
 from detden_lite.results import records
 from detden_lite.store import manifest, models, tensors
@@ -193,6 +193,11 @@ class Odd(gymnasium.Env):
         (dict(budget=0.05), "budget: give a .*Budget"),
         (dict(budget=Budget(0.1, scale=torch.ones(3))), "budget: its scale must be one number or 4"),
         (dict(scale="huge"), "unknown scale 'huge'; choose one of: tiny"),
+        (dict(scale=None), "unknown scale None"),
+        (dict(seed=1.5), "seed: it must be a whole number of at least 0, not 1.5"),
+        (dict(seed=-1), "seed: it must be a whole number"),
+        (dict(seed=True), "seed: it must be a whole number"),
+        (dict(victim="ppo.zip"), "model: str is neither"),
         (dict(env="Nowhere-v5"), "env: .*Nowhere"),
         (dict(env=Odd()), "env: it has no spec"),
         (dict(env="CartPole-v1"), "env: the actions of CartPole-v1 must be vectors"),
@@ -209,10 +214,37 @@ def test_what_cannot_be_defended_is_refused_before_anything_is_written(ppo, tmp_
     assert not list(tmp_path.iterdir())
 
 
+def test_a_folder_that_is_a_file_is_refused(ppo, tmp_path):
+    file = tmp_path / "mine"
+    file.write_text("in the way")
+    for folder in (file, file / "inside"):
+        with pytest.raises(ValueError, match="folder: .*mine is a file; give a folder"):
+            again(folder, ppo)
+    with pytest.raises(ValueError, match="folder: give a path, not None"):
+        again(None, ppo)
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "invertedpendulum-ppo").write_text("in the way")
+    with pytest.raises(ValueError, match="invertedpendulum-ppo is a file"):
+        again(tmp_path / "run", ppo)
+    assert {path.name for path in tmp_path.rglob("*")} == {"mine", "run", "invertedpendulum-ppo"}
+
+
+@pytest.mark.parametrize("name", ["trajectories", "horizon", "attack_steps"])
+@pytest.mark.parametrize("number", [0, -1, 1.5, True, None])
+def test_sizes_that_are_no_counts_are_refused(name, number):
+    tiny = defense_scale("tiny", task_of("InvertedPendulum-v5", BUDGET))
+    with pytest.raises(ValueError, match=f"{name} must be a whole number of at least 1, not {number}"):
+        replace(tiny, **{name: number})
+    with pytest.raises(ValueError, match="defense must be a detden_lite.VAERecipe"):
+        replace(tiny, defense=None)
+
+
 def test_a_policy_whose_actions_have_other_bounds_is_refused(ppo, tmp_path):
     victim = Victim.from_sb3(*ppo)
     victim.action_high.fill_(1.0)
-    with pytest.raises(ValueError, match=r"its actions lie between \[-3.\] and \[1.\], those of InvertedPendulum-v5"):
+    with pytest.raises(
+        ValueError, match=r"its actions lie between \[-3.\] and \[1.\], those of InvertedPendulum-v5 in"
+    ):
         again(tmp_path, ppo, victim=victim)
 
 
