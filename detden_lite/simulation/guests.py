@@ -22,7 +22,7 @@ def check_guests(attack: object, timing: object, defense: object) -> None:
     for name, guest, methods in (
         ("attack", attack, ("needs", "reset", "__call__")),
         ("timing", timing, ("reset", "__call__")),
-        ("defense", defense, ("reset", "restart", "__call__")),
+        ("defense", defense, ("reset", "__call__")),
     ):
         if guest is not None and (lacks := [m for m in methods if not hasattr(guest, m)]):
             article = "an attack such as OppositeAttack(victim, budget)" if name == "attack" else f"a {name} object"
