@@ -38,9 +38,10 @@ def train_member(run: Run, member: int, defended: bool = False) -> None:
 
     from detden_lite.attacks.adversary_world import AdversaryEnv
 
-    grid, victim, threat = run.scale.adversaries, run.victim(), run.threat()
+    grid = run.scale.adversaries
     if not 0 <= member < len(grid):
         raise ValueError(f"member must be between 0 and {len(grid) - 1} at this scale, not {member}")
+    victim, threat = run.victim(), run.threat()
 
     def worlds(n: int):
         timing = threat.timing(grid[member].timing, victim)

@@ -13,9 +13,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from detden_lite.attacks.adaptive import AdaptiveAttack, GradientFreeAttack, Outcome
+from detden_lite.attacks.adaptive import AdaptiveAttack, GradientFreeAttack
 from detden_lite.attacks.informed import view_defense
 from detden_lite.attacks.opposite import OppositeAttack
+from detden_lite.attacks.outcome import Outcome
 from detden_lite.core.gradients import value_and_gradient
 from detden_lite.core.random_streams import RandomStreams
 from detden_lite.core.types import Episodes, World

@@ -5,35 +5,65 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from detden_lite.core.files import ArtifactError
 from detden_lite.core.types import Trajectories
 from detden_lite.recipe.run import ADVERSARIAL, Run
+from detden_lite.recipe.scales import DefenseScale
 from detden_lite.store import tensors
 
 SHARD = 128  # trajectories of one file: what a killed run loses at most
 
 
-def load_trajectories(run: Run, folder: str) -> Trajectories:
-    """All shards of a folder of trajectories: "normal-DATA", "calibration", or "PART-DATA" with a part of D_adv."""
+def load_trajectories(run: Run[DefenseScale], folder: str) -> Trajectories:
+    """All trajectories of a folder.
+
+    Args:
+        run: where.
+        folder: "normal-DATA", "calibration", or "PART-DATA" with a part of D_adv.
+
+    Raises:
+        ValueError: if the folder is empty.
+        ArtifactError: if a file is missing or damaged.
+    """
     paths = sorted((run.folder / folder).glob("*.safetensors"))
     if not paths:
-        stage = "augment" if folder.startswith(tuple(ADVERSARIAL)) else "collect"
-        raise ValueError(f"{run.folder / folder} is empty; run the {stage} stage first")
-    shards = [load_shard(run, path) for path in paths]
-    return Trajectories(np.concatenate([s.obs for s in shards]), np.concatenate([s.lengths for s in shards]))
+        raise ValueError(f"{run.folder / folder} is empty; run the {_stage(folder)} stage first")
+    read = [load_shard(run, path) for path in paths]
+    starts = np.cumsum([0, *(len(shard) for shard in read[:-1])])
+    for path, start in zip(paths, starts, strict=True):  # each file is named by the number of its first trajectory
+        if int(path.stem) != start:
+            missing = path.with_stem(f"{start:05d}")
+            raise ArtifactError(f"{missing} is missing or too short; run the {_stage(folder)} stage again")
+    return Trajectories(np.concatenate([s.obs for s in read]), np.concatenate([s.lengths for s in read]))
 
 
-def shards(run: Run, folder: str, n: int) -> list[tuple[Path, slice]]:
+def shards(run: Run[DefenseScale], folder: str, n: int) -> list[tuple[Path, slice]]:
     """The files of a folder of n trajectories, each with the positions of its own among them."""
     return [(run.folder / folder / f"{i:05d}.safetensors", slice(i, min(i + SHARD, n))) for i in range(0, n, SHARD)]
 
 
-def save_shard(run: Run, path: Path, shard: Trajectories) -> None:
+def save_shard(run: Run[DefenseScale], path: Path, shard: Trajectories) -> None:
     """Write one file of trajectories."""
     state = dict(obs=torch.from_numpy(shard.obs), lengths=torch.from_numpy(shard.lengths))
     tensors.save_tensors(path, state, dict(task=run.task.name, episodes=len(shard)), run.root)
 
 
-def load_shard(run: Run, path: Path) -> Trajectories:
-    """Read one file of trajectories."""
+def load_shard(run: Run[DefenseScale], path: Path) -> Trajectories:
+    """Read one file of trajectories.
+
+    Raises:
+        ArtifactError: if it is missing, altered, or holds no trajectories of the run's task.
+    """
     state, _ = tensors.load_tensors(path, run.root)
-    return Trajectories(state["obs"].numpy(), state["lengths"].numpy())
+    shard = Trajectories(*(state.get(name, torch.empty(0)).numpy() for name in ("obs", "lengths")))
+    if shard.obs.ndim != 3 or shard.obs.shape[-1] != run.task.obs_dim or shard.lengths.shape != shard.obs.shape[:1]:
+        raise ArtifactError(
+            f"{path} holds no trajectories of {run.task.name}; remove it and run the {_stage(path.parent.name)} stage "
+            "again"
+        )
+    return shard
+
+
+def _stage(folder: str) -> str:
+    """The stage that fills a folder of trajectories."""
+    return "augment" if folder.startswith(tuple(ADVERSARIAL)) else "collect"

@@ -19,7 +19,9 @@ from safetensors.torch import load_file, save_file
 
 from detden_lite.attacks.catalogue import ATTACKS
 from detden_lite.core.budget import Budget
+from detden_lite.core.files import ArtifactError
 from detden_lite.core.tasks import ALGORITHMS, SCALES, TASK_NAMES
+from detden_lite.core.types import Trajectories
 from detden_lite.defense import variants
 from detden_lite.defense.detector import Detector
 from detden_lite.defense.thresholds import calibrate, clean_scores
@@ -32,7 +34,7 @@ from detden_lite.recipe.stage_list import GROUPS, STAGES
 from detden_lite.recipe.trajectories import load_shard, load_trajectories
 from detden_lite.results import cells, records
 from detden_lite.simulation.rollout import rollout
-from detden_lite.store import manifest, models
+from detden_lite.store import manifest, models, tensors
 from detden_lite.victims.victim import Victim
 
 ORDER = ["victim", "select", "collect", "augment", "detector", "denoiser"]
@@ -286,6 +288,50 @@ def test_a_stage_out_of_order_says_what_is_missing(tiny, tmp_path, stage, made, 
         run_stage(tmp_path, *stage.split())
 
 
+def harm_alter(path: Path, run: Run) -> None:
+    path.write_bytes(path.read_bytes()[:-1] + b"?")
+
+
+def harm_truncate(path: Path, run: Run) -> None:
+    path.write_bytes(path.read_bytes()[:100])
+
+
+def harm_sidecar(path: Path, run: Run) -> None:
+    path.with_suffix(".json").unlink()
+
+
+def harm_other_content(path: Path, run: Run) -> None:
+    tensors.save_tensors(path, dict(weights=torch.zeros(3)), {}, run.root)
+
+
+def harm_other_task(path: Path, run: Run) -> None:
+    shard = load_shard(run, path)
+    trajectories.save_shard(run, path, Trajectories(shard.obs[..., :5].copy(), shard.lengths))
+
+
+def harm_first_lost(path: Path, run: Run) -> None:
+    tensors.save_tensors(path.with_stem("00128"), load_file(path), {}, run.root)
+    path.unlink()
+
+
+@pytest.mark.parametrize(
+    "harm", [harm_alter, harm_truncate, harm_sidecar, harm_other_content, harm_other_task, harm_first_lost]
+)
+def test_damaged_trajectories_are_refused_with_their_file(attacked, tmp_path, harm):
+    run = replace(attacked, root=shutil.copytree(attacked.root, tmp_path / "copy"))
+    path = run.folder / "normal-diverse" / "00000.safetensors"
+    harm(path, run)
+    with pytest.raises(ArtifactError, match=r"normal-diverse/00000\."):
+        load_trajectories(run, "normal-diverse")
+
+
+def test_publishing_an_empty_root_is_an_error(tmp_path):
+    data = tmp_path / "data"
+    result = command_line("publish", "--scale", "tiny", "--root", str(tmp_path / "nothing"), data=data)
+    assert result.returncode == 1 and not data.exists()
+    assert re.fullmatch(r"error: .*nothing has nothing of hopper-td3 to publish; make it first.*\n", result.stderr)
+
+
 INTERRUPTED = """
 import sys
 from dataclasses import replace
@@ -294,6 +340,7 @@ from pathlib import Path
 from detden_lite.results import cells
 from detden_lite.recipe import trajectories, defense_stages
 from detden_lite.recipe.run import Run
+from detden_lite.core.types import Trajectories
 from detden_lite.defense import variants
 
 trajectories.SHARD = 2
