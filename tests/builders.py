@@ -21,6 +21,7 @@ from detden_lite.defense.denoiser import Denoiser
 from detden_lite.defense.detector import Detector
 from detden_lite.defense.gruvae import GRUVAE
 from detden_lite.defense.pipeline import DetectAndDenoise
+from detden_lite.results.records import Record
 from detden_lite.simulation.planner import CEMPlanner
 from detden_lite.store import models
 from detden_lite.victims.training import XLA_FLAGS
@@ -126,8 +127,16 @@ class FixedPlan(CEMPlanner):
         return self.answer if self.answer.ndim else np.full((len(envs), 1), self.answer)
 
 
-def record(returns, first=8_000_000) -> dict:
-    return dict(estimate=asdict(estimate(returns)), returns=list(returns), seeds=[first, len(returns)])
+def record(returns, first=8_000_000, **changes) -> Record:
+    """A record with these returns, of episodes from seed ``first`` on."""
+    scores = dict(accuracy=1.0, f1=None, false_negative_rate=None, false_positive_rate=0.0)
+    content = dict(
+        task="hopper", cell=dict(attack="opposite", timing="always", defense="mixed"), settings=dict(epsilon=0.075),
+        seeds=[first, len(returns)], returns=[float(number) for number in returns], lengths=[1] * len(returns),
+        estimate=asdict(estimate(returns)), attack_rate=1.0, detector=scores, denoiser_mae=None, seconds=1.0,
+        versions={},
+    )  # fmt: skip
+    return Record.from_json({**content, **changes})
 
 
 def ship_victim(root: Path, task: str = "hopper", algo: str = "td3", **changes) -> None:

@@ -1,7 +1,7 @@
 """Running the cells of the tables, a record each."""
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 
 import numpy as np
@@ -11,15 +11,16 @@ from detden_lite.attacks.enchanting import EnchantingAttack
 from detden_lite.attacks.gradient import GradientAttack
 from detden_lite.attacks.informed import InformedAttack
 from detden_lite.attacks.threat import Threat
-from detden_lite.core import estimates
 from detden_lite.core.metrics import summarize
 from detden_lite.core.tasks import Task
 from detden_lite.core.types import Episodes
 from detden_lite.defense import variants
+from detden_lite.defense.pipeline import DetectAndDenoise
 from detden_lite.defense.variants import MAIN
 from detden_lite.recipe import ablations, episode_seeds
 from detden_lite.recipe.run import Run
 from detden_lite.results.cells import Cell, adaptive_cells, table_cells
+from detden_lite.results.records import SCHEMA, EpisodeScores, Record
 from detden_lite.simulation.rollout import rollout
 from detden_lite.store import manifest
 from detden_lite.store.manifest import versions
@@ -27,21 +28,32 @@ from detden_lite.victims.victim import Victim
 
 
 def run_cell(
-    cell: Cell, task: Task, victim: Victim, threat: Threat, defense, episode_seeds, steps: int | None = None,
-    progress: str | None = None, clean: Episodes | None = None,
-) -> tuple[dict, Episodes]:  # fmt: skip
-    """Run a cell. Returns its record, ready for JSON, and the episodes.
+    cell: Cell, task: Task, victim: Victim, threat: Threat, defense: DetectAndDenoise | None,
+    episode_seeds: Sequence[int], steps: int | None = None, progress: str | None = None, clean: Episodes | None = None,
+) -> tuple[Record, Episodes]:  # fmt: skip
+    """Run a cell. Returns its record, and the episodes.
 
     Args:
-        cell: what to run.
-        task: where.
-        victim: whom.
+        cell: the attack, the timing and the name of the defence.
+        task: the victim's.
+        victim: the policy under attack.
         threat: the attacker's settings.
         defense: the defence called ``cell.defense``; None for "none".
         episode_seeds: one an episode; the same for all cells of a table.
         steps: the longest an episode may be; the task's horizon by default.
         progress: text of a progress bar, None for no bar.
         clean: the episodes of the cell without an attack but with this defence, for the scores that need them.
+
+    Raises:
+        ValueError: if the cell says "none" and there is a defence, or the other way round, or its attack or timing does
+            not exist.
+
+    Example:
+        >>> from detden_lite import Budget, get_task, load_victim
+        >>> hopper, victim, threat = get_task("hopper"), load_victim("hopper", "td3"), Threat(Budget(0.075))
+        >>> record, episodes = run_cell(Cell("uniform"), hopper, victim, threat, None, [1, 2], steps=5)
+        >>> record.lengths, record.attack_rate, record.settings["epsilon"]
+        ((5, 5), 1.0, 0.075)
     """
     if (defense is None) != (cell.defense == "none"):
         raise ValueError(f"defense: the cell says {cell.defense!r}, so give {'None' if defense is not None else 'one'}")
@@ -50,7 +62,7 @@ def run_cell(
     episodes = rollout(
         victim, task, episode_seeds, attack=attack, timing=timing, defense=defense, steps=steps, progress=progress
     )
-    settings = dict(epsilon=threat.budget.epsilon, norm=str(threat.budget.norm))
+    settings: dict[str, object] = dict(epsilon=threat.budget.epsilon, norm=str(threat.budget.norm))
     if isinstance(attack, InformedAttack):
         settings["adaptive"] = attack.settings
         attack = attack.attack
@@ -68,23 +80,27 @@ def run_cell(
         settings["c_anomaly"] = threshold if np.isfinite(threshold) else None  # JSON knows no infinity
         settings |= dict.fromkeys(defense.ablations, True)
     record = dict(
+        schema=SCHEMA,
         task=task.name,
         cell=asdict(cell),
         settings=settings,
         seeds=[int(episode_seeds[0]), len(episode_seeds)],
         **summarize(episodes, clean),
+        episodes={name: list(row) for name, row in vars(EpisodeScores.of(episodes)).items()},
         seconds=time.perf_counter() - start,
         versions=versions(),
     )
-    return record, episodes
+    return Record.from_json(record, cell.record_name(task.name, "record")), episodes
 
 
-def evaluate(run: Run, defenses=("none", MAIN), attacks=("none", *catalogue.ATTACKS)) -> None:
+def evaluate(
+    run: Run, defenses: Sequence[str] = ("none", MAIN), attacks: Sequence[str] = ("none", *catalogue.ATTACKS)
+) -> None:
     """Every cell of the tables with these defences and attacks, a record each."""
     run_cells(run, [cell for cell in table_cells(defenses) if cell.attack in attacks], run.threat())
 
 
-def adapt(run: Run, defenses=(MAIN,)) -> None:
+def adapt(run: Run, defenses: Sequence[str] = (MAIN,)) -> None:
     """The cells of the attacks that know these defences, a record each."""
     run_cells(run, [cell for defense in defenses for cell in adaptive_cells(defense)], run.threat())
 
@@ -93,7 +109,6 @@ def run_cells(run: Run, wanted: Iterable[Cell], threat: Threat) -> None:
     """Run these cells of the run's victim on the report's episodes, a record each; what is there is left as it is."""
     victim = run.victim()
     unattacked: dict[str, Episodes] = {}  # of the defence at hand: what its attacked cells are compared with
-    slow = ("enchanting", *catalogue.ADAPTIVE)
     for cell in wanted:
         name = cell.record_name(run.task.name, run.algo)
         path = run.root / "results" / f"{name}.json"
@@ -101,18 +116,19 @@ def run_cells(run: Run, wanted: Iterable[Cell], threat: Threat) -> None:
             continue
         defense = None if cell.defense == "none" else ablations.build_defense(run, cell.defense)
         seeds = episode_seeds.seeds("report", run.scale.episodes)
+        slow = cell.attack != "none" and catalogue.CATALOGUE[cell.attack].slow
         if defense is not None and cell.attack != "none" and cell.defense not in unattacked:
             clean = rollout(victim, run.task, seeds, defense=defense, steps=run.scale.horizon)
             unattacked = {cell.defense: clean}
         record, episodes = run_cell(
             cell, run.task, victim, threat, defense,
-            seeds[: run.scale.planned_episodes] if cell.attack in slow else seeds,
+            seeds[: run.scale.planned_episodes] if slow else seeds,
             run.scale.horizon, progress=name, clean=unattacked.get(cell.defense),
         )  # fmt: skip
         if defense is not None and cell.attack == "none":
             unattacked = {cell.defense: episodes}
-        manifest.write_json(path, record, run.root)
-        print(f"{name}: {estimates.Estimate(**record['estimate'])}")
+        manifest.write_json(path, record.to_json(), run.root)
+        print(f"{name}: {record.estimate}")
 
 
 def ablate(run: Run) -> None:

@@ -1,4 +1,4 @@
-"""What attackers who know the defence leave: their records, beside those of the attacks that do not know it (Q5)."""
+"""Returns under attackers who know the defence, beside those under the attacks that do not know it (Q5)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,9 +9,10 @@ from detden_lite.defense.variants import MAIN
 from detden_lite.results import cells, defended_victims, records
 from detden_lite.results.bare_victims import failed
 from detden_lite.results.defended_victims import Share
+from detden_lite.results.records import Record
 from detden_lite.store import manifest
 
-# The victims whose defence is attacked by who knows it.
+# The victims whose defence meets the attackers who know it.
 ADAPTED_ROWS = (("hopper", "td3"), ("halfcheetah", "td3"), ("hopper", "ppo"), ("halfcheetah", "ppo"))
 
 
@@ -21,12 +22,14 @@ class AwareAttack:
 
     attack: str  # one of ``catalogue.ADAPTIVE``
     unaware: str  # one of ``catalogue.FOUR``
-    record: Mapping  # of the adaptive attack
+    record: Record  # of the adaptive attack
     change: Share | None  # of the return, by knowing the defence; None if the unaware one leaves no return at all
     failed: bool  # it leaves more than the unaware one, beyond chance: see ``bare_victims.failed``
 
 
-def load_adaptive(task: str, algo: str, defense: str = MAIN, root: Path = manifest.DATA) -> dict[tuple[str, str], dict]:
+def load_adaptive(
+    task: str, algo: str, defense: str = MAIN, root: Path = manifest.DATA
+) -> dict[tuple[str, str], Record]:
     """The records of the adaptive attacks on a victim with this defence that are there, by (attack, "always").
 
     Raises:
@@ -35,8 +38,8 @@ def load_adaptive(task: str, algo: str, defense: str = MAIN, root: Path = manife
     return records.load_cells(cells.adaptive_cells(defense), task, algo, root)
 
 
-def change(adaptive: Mapping, plain: Mapping) -> Share | None:
-    """By which part of it an attack's return changes if the attacker knows the defence, as table 4 of the paper has it.
+def change(adaptive: Record, plain: Record) -> Share | None:
+    """The relative change of the return under an attack if the attacker knows the defence, as in table 4 of the paper.
 
     Both are of the same episodes, and the interval's episodes are drawn with both of their returns.
 
@@ -47,14 +50,14 @@ def change(adaptive: Mapping, plain: Mapping) -> Share | None:
     Raises:
         ValueError: if the two do not begin with the same episode.
     """
-    if plain["estimate"]["mean"] <= 0:
+    if plain.estimate.mean <= 0:
         return None
     part = defended_victims.of_clean(adaptive, plain)
     return Share(part.mean - 1, part.low - 1, part.high - 1)
 
 
-def compare(adaptive: Mapping[tuple[str, str], Mapping], plain: Mapping[tuple[str, str], Mapping]) -> list[AwareAttack]:
-    """Every adaptive attack whose unaware one has a record, too.
+def compare(adaptive: Mapping[tuple[str, str], Record], plain: Mapping[tuple[str, str], Record]) -> list[AwareAttack]:
+    """Each adaptive attack beside the unaware one, where both have a record.
 
     Args:
         adaptive: from ``load_adaptive``.
@@ -62,8 +65,7 @@ def compare(adaptive: Mapping[tuple[str, str], Mapping], plain: Mapping[tuple[st
     """
     found = []
     for (attack, timing), record in adaptive.items():
-        if other := plain.get((CATALOGUE[attack].unaware, timing)):
-            found.append(
-                AwareAttack(attack, CATALOGUE[attack].unaware, record, change(record, other), failed(record, other))
-            )
+        unaware = CATALOGUE[attack].unaware
+        if unaware and (other := plain.get((unaware, timing))):
+            found.append(AwareAttack(attack, unaware, record, change(record, other), failed(record, other)))
     return found

@@ -1,4 +1,4 @@
-"""What the undefended victims earn under each attack: the result records, beside the paper's own numbers."""
+"""Returns of the undefended victims under each attack: the result records, beside the paper's own numbers."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -8,50 +8,59 @@ import numpy as np
 from detden_lite.attacks import catalogue
 from detden_lite.core.estimates import Estimate, estimate
 from detden_lite.results import cells, records
+from detden_lite.results.records import Record
 from detden_lite.store import manifest
 
-COMPARED = (*catalogue.FOUR, "linear")  # the last is the released code's stand-in for the optimal one
+COMPARED = (*catalogue.FOUR, "linear")  # the last is the released code's surrogate of the optimal one
 
 CELLS = tuple((cell.attack, cell.timing) for cell in cells.table_cells(("none",)))
 
 UNATTACKED = ("none", "always")
 
 
-def load_bare(task: str, algo: str, root: Path = manifest.DATA) -> dict[tuple[str, str], dict]:
+def load_bare(task: str, algo: str, root: Path = manifest.DATA) -> dict[tuple[str, str], Record]:
     """The records of an undefended victim that are there, by (attack, timing): clean, noise and the attacks.
 
     Raises:
         ArtifactError: if one of them is altered.
+
+    Example:
+        >>> records = load_bare("hopper", "td3")
+        >>> strongest(records)
+        ('linear', 'always')
+        >>> round(share(records["linear", "always"], records[UNATTACKED]), 2)
+        0.0
     """
     return records.load_cells(cells.table_cells(("none",)), task, algo, root)
 
 
-def strongest(records: Mapping[tuple[str, str], Mapping]) -> tuple[str, str] | None:
+def strongest(records: Mapping[tuple[str, str], Record]) -> tuple[str, str] | None:
     """The (attack, timing) that leaves the smallest mean return, random timings aside; None if there is no attack."""
     means = {
-        (attack, timing): record["estimate"]["mean"]
+        (attack, timing): record.estimate.mean
         for (attack, timing), record in records.items()
         if attack in COMPARED and timing != "random"
     }
-    return min(means, key=means.get) if means else None
+    return min(means, key=means.__getitem__) if means else None
 
 
-def difference(one: Mapping, other: Mapping) -> Estimate:
+def difference(one: Record, other: Record) -> Estimate:
     """How much more return a record has than another, episode by episode: of those that both have.
 
     Raises:
         ValueError: if the two do not begin with the same episode.
     """
-    if one["seeds"][0] != other["seeds"][0]:
-        raise ValueError(f"the records are of other episodes, from seeds {one['seeds'][0]} and {other['seeds'][0]} on")
-    n = min(len(one["returns"]), len(other["returns"]))
-    return estimate(np.subtract(one["returns"][:n], other["returns"][:n]))
+    if one.seeds[0] != other.seeds[0]:
+        raise ValueError(f"the records are of other episodes, from seeds {one.seeds[0]} and {other.seeds[0]} on")
+    n = min(len(one.returns), len(other.returns))
+    return estimate(np.subtract(one.returns[:n], other.returns[:n]))
 
 
-def failed(adaptive: Mapping, plain: Mapping) -> bool:
+def failed(adaptive: Record, plain: Record) -> bool:
     """Whether an adaptive attack leaves more return than the attack that does not know the defence, beyond chance.
 
-    Then it says nothing of the defence: who knows more can always do as the other does (Carlini et al., 2019).
+    Then it says nothing about the defence: an attacker who knows more could always do what the other attacker does
+    (Carlini et al., 2019).
 
     Args:
         adaptive: the record of the one.
@@ -61,17 +70,17 @@ def failed(adaptive: Mapping, plain: Mapping) -> bool:
         ValueError: if the two are of other timings, defences or episodes.
     """
     for what in ("timing", "defense"):
-        one, other = adaptive["cell"][what], plain["cell"][what]
+        one, other = getattr(adaptive.cell, what), getattr(plain.cell, what)
         if one != other:
             raise ValueError(f"the records are of other cells: their {what} is {one} and {other}")
     return bool(difference(adaptive, plain).low > 0)
 
 
-def share(record: Mapping, clean: Mapping) -> float:
+def share(record: Record, clean: Record) -> float:
     """The mean return of a record as a part of the clean one; below 0 where the return is."""
-    return record["estimate"]["mean"] / clean["estimate"]["mean"]
+    return record.estimate.mean / clean.estimate.mean
 
 
-def strikes(record: Mapping) -> float:
+def strikes(record: Record) -> float:
     """The mean number of attacked steps of an episode."""
-    return record["attack_rate"] * float(np.mean(record["lengths"]))
+    return record.attack_rate * float(np.mean(record.lengths))

@@ -1,5 +1,6 @@
 """The cells of the tables: which victim meets which attack, when, with which defence."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from detden_lite.attacks import catalogue
@@ -8,12 +9,16 @@ from detden_lite.defense.variants import MAIN, VARIANTS
 
 @dataclass(frozen=True)
 class Cell:
-    """What is done to whom. The names are those of the book's tables.
+    """One experiment: a victim meets an attack, with a defence or without. The names are those of the book's tables.
 
     Args:
         attack: "none", or one of ``ATTACKS``; with a defence also one of ``ADAPTIVE``.
         timing: one of ``TIMINGS``.
         defense: "none", or the name of a shipped defence.
+
+    Example:
+        >>> Cell("opposite", "vulnerable", "mixed").record_name("hopper", "td3")
+        'hopper-td3.opposite.vulnerable.mixed'
     """
 
     attack: str = "none"
@@ -25,12 +30,16 @@ class Cell:
         return ".".join([f"{task}-{algo}", self.attack, self.timing, self.defense])
 
 
-def table_cells(defenses=("none", MAIN)) -> list[Cell]:
+def table_cells(defenses: Iterable[str] = ("none", MAIN)) -> list[Cell]:
     """The cells of the tables, one defence after the other; "none" is the bare victim.
 
     The main defence meets all four attacks, the linear adversary and noise; other trained ones those of the four that
     need no planner; and assembled ones the opposite attack, which the denoiser has seen, and the optimal one, which it
     has not.
+
+    Example:
+        >>> [cell.attack for cell in table_cells(["oracle-detector"])]
+        ['none', 'opposite', 'optimal']
     """
     both = ("always", "vulnerable")
     found = []
@@ -53,9 +62,10 @@ RESIDUAL_OR_NOT = ("diverse", "residual")  # two variants that differ in the den
 
 
 def adaptive_cells(defense: str = MAIN) -> list[Cell]:
-    """The cells of the attacks that know the defence: always, since who fears them asks for the worst.
+    """The cells of the attacks that know the defence. They always attack, since the worst case is of interest.
 
-    The main defence meets all of them, and the two of ``RESIDUAL_OR_NOT`` one: is a residual output a path?
+    The main defence meets all of them. The two of ``RESIDUAL_OR_NOT`` meet one, which shows whether a residual output
+    gives the attacker a path.
     """
     attacks = dict.fromkeys(RESIDUAL_OR_NOT, ("adaptive-opposite",)) | {MAIN: catalogue.ADAPTIVE}
     return [Cell(attack, "always", defense) for attack in attacks.get(defense, ())]

@@ -5,7 +5,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Published:
-    """A mean clean return that others published: on which version of the task, and the key of the reference."""
+    """A mean clean return that others published: on which version of the task, and the key of the reference.
+
+    Example:
+        >>> PUBLISHED["hopper", "td3"].env_id
+        'Hopper-v3'
+    """
 
     mean: float
     env_id: str

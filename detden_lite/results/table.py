@@ -2,9 +2,11 @@
 
 import csv
 import io
+from dataclasses import asdict
 from pathlib import Path
 
 from detden_lite.core import files
+from detden_lite.results.records import Record, load_record
 from detden_lite.store import manifest
 
 COLUMNS = (
@@ -13,11 +15,12 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def collect_records(root: Path) -> list[dict]:
+def collect_records(root: Path) -> list[dict[str, str | float | None]]:
     """The records of a run, each as one line: a value for each of ``COLUMNS``.
 
     ``row`` is "hopper-td3"; ``mean``, ``low`` and ``high`` are of the return; ``mae`` is in the observations' own
-    units. What is not defined (the false negatives where nothing is attacked) or not in an older record is None.
+    units. An entry that is not defined (the false negatives where nothing is attacked) or that an older
+    record lacks is None.
 
     Raises:
         ArtifactError: if there is no record, or one is altered.
@@ -25,7 +28,7 @@ def collect_records(root: Path) -> list[dict]:
     paths = sorted((Path(root) / "results").glob("*.json"))
     if not paths:
         raise files.ArtifactError(f"{Path(root) / 'results'} holds no record; run the evaluate stage first")
-    return [_line(path.name.split(".")[0], manifest.read_json(path, root)) for path in paths]
+    return [_line(path.name.split(".")[0], load_record(path.stem, Path(root))) for path in paths]
 
 
 def write_table(root: Path) -> Path:
@@ -39,10 +42,9 @@ def write_table(root: Path) -> Path:
     return path
 
 
-def _line(row: str, record: dict) -> dict:
-    values = {**record["cell"], **record["estimate"], **record["detector"]}
-    values |= dict(row=row, attack_rate=record["attack_rate"], mae=record["denoiser_mae"])
-    delay = record.get("delay", {})
-    values |= dict(delay=delay.get("mean"), missed=delay.get("missed"), mae_live=record.get("denoiser_mae_live"))
-    values |= dict(auroc=record.get("auroc"), auroc_clean=record.get("auroc_clean"))
+def _line(row: str, record: Record) -> dict[str, str | float | None]:
+    values = asdict(record.cell) | asdict(record.estimate) | asdict(record.detector)
+    values |= dict(row=row, attack_rate=record.attack_rate, mae=record.denoiser_mae, mae_live=record.denoiser_mae_live)
+    values |= dict(auroc=record.auroc, auroc_clean=record.auroc_clean)
+    values |= dict(delay=record.delay and record.delay.mean, missed=record.delay and record.delay.missed)
     return {column: values[column] for column in COLUMNS}

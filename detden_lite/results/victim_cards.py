@@ -1,4 +1,4 @@
-"""The data cards of the victims: what data/ says of each, beside what the paper and others say of theirs."""
+"""The data cards of the victims: how each was trained and chosen, and what it earns."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,7 +15,13 @@ from detden_lite.store import manifest
 
 @dataclass(frozen=True)
 class LearningCurve:
-    """The learning curve of one seed: mean return of the screening episodes at each snapshot."""
+    """The learning curve of one seed: mean return of the screening episodes at each snapshot.
+
+    Example:
+        >>> curve = load_card("hopper", "td3").curves[0]
+        >>> curve.steps.shape == curve.mean.shape
+        True
+    """
 
     seed: int
     steps: np.ndarray  # environment steps
@@ -24,7 +30,13 @@ class LearningCurve:
 
 @dataclass(frozen=True)
 class VictimCard:
-    """What data/ says of a victim."""
+    """How a shipped victim was trained and chosen, and its returns.
+
+    Example:
+        >>> card = load_card("hopper", "td3")
+        >>> card.title, card.steps, len(card.returns)
+        ('Hopper, TD3', 500000, 100)
+    """
 
     task: Task
     algo: str
@@ -105,6 +117,10 @@ def live(obs: np.ndarray, parts: Mapping[str, int]) -> dict[str, tuple[int, int]
 
     Returns:
         For each part how many change, and how many there are.
+
+    Example:
+        >>> live(np.array([[0, 1, 5], [0, 2, 5]]), dict(position=2, force=1))
+        {'position': (1, 2), 'force': (0, 1)}
     """
     if sum(parts.values()) != obs.shape[1]:
         raise ValueError(f"parts: they have {sum(parts.values())} observations in all, and obs has {obs.shape[1]}")

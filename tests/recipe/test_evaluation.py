@@ -2,6 +2,7 @@ import json
 from dataclasses import replace
 from itertools import combinations
 
+import numpy as np
 import pytest
 import torch
 from builders import BUDGET, HOPPER, make_defense, make_victim
@@ -32,7 +33,7 @@ def run(victim, cell, defense=None, n=4, clean=None):
 def test_a_record_says_what_was_done_and_what_came_of_it(victim):
     cell = Cell("opposite", "random", "mine")
     record, episodes = run(victim, cell, make_defense())
-    assert json.loads(json.dumps(record, allow_nan=False)) == record
+    assert json.loads(json.dumps(record.to_json(), allow_nan=False)) == record
     assert record["cell"] == dict(attack="opposite", timing="random", defense="mine") and record["task"] == "hopper"
     expected = dict(epsilon=0.075, norm="inf", steps=3, restarts=2, rate=0.5, c_anomaly=1.5)
     assert record["settings"] == expected
@@ -64,6 +65,18 @@ def test_a_record_takes_what_it_is_compared_with_from_clean_episodes(victim):
     assert "auroc_clean" not in run(victim, cell, make_defense())[0]
 
 
+def test_a_record_has_the_scores_of_each_episode(victim):
+    record, episodes = run(victim, Cell("uniform", "random", "mine"), make_defense())
+    attacked = (episodes.attacked & episodes.mask).sum(0)
+    assert record.schema == 2 and record["episodes"]["attacked"] == attacked.tolist()
+    scores, steps = record.episodes, sum(record.lengths)
+    assert sum(scores.attacked) / steps == pytest.approx(record.attack_rate)
+    misses, false = record.detector.false_negative_rate, record.detector.false_positive_rate
+    assert sum(scores.alarms_attacked) / sum(scores.attacked) == pytest.approx(1 - misses)
+    assert sum(scores.alarms_clean) / (steps - sum(scores.attacked)) == pytest.approx(false)
+    assert np.average(scores.denoiser_mae, weights=scores.attacked) == pytest.approx(record.denoiser_mae)
+
+
 @pytest.mark.parametrize(("attack", "steps"), [("none", None), ("uniform", None), ("fgsm", 1), ("opposite", 3)])
 def test_the_settings_are_those_of_the_attack_that_was_made(victim, attack, steps):
     assert run(victim, Cell(attack))[0]["settings"].get("steps") == steps
@@ -71,7 +84,7 @@ def test_the_settings_are_those_of_the_attack_that_was_made(victim, attack, step
 
 def test_the_same_cell_gives_the_same_record(victim):
     cell = Cell("opposite", "vulnerable", "mine")
-    first, second = (run(victim, cell, make_defense())[0] for _ in range(2))
+    first, second = (run(victim, cell, make_defense())[0].to_json() for _ in range(2))
     assert first.pop("seconds") > 0 and second.pop("seconds") > 0
     assert first == second
     assert first["settings"]["c_vul"] == 0.1
@@ -126,7 +139,7 @@ def test_every_attack_that_knows_the_defence_can_be_run(victim, name):
     threat = replace(THREAT, planner=planner, adaptive=small, adversaries=adversaries)
     cell = Cell(name, defense="mine")
     record, episodes = run_cell(cell, HOPPER, victim, threat, make_defense(), seeds("report", 2), steps=3)
-    assert json.loads(json.dumps(record, allow_nan=False)) == record
+    assert json.loads(json.dumps(record.to_json(), allow_nan=False)) == record
     assert BUDGET.contains(torch.from_numpy(episodes.obs), torch.from_numpy(episodes.perturbed)).all()
     assert (episodes.perturbed != episodes.obs).any(-1).all()
     kind, unaware = name.split("-")
@@ -137,7 +150,7 @@ def test_every_attack_that_knows_the_defence_can_be_run(victim, name):
 
 
 def test_without_a_defence_there_is_nothing_to_adapt_to(victim):
-    with pytest.raises(ValueError, match="no defense to adapt to"):
+    with pytest.raises(ValueError, match="defense to adapt to"):
         run(victim, Cell("adaptive-opposite"))
     with pytest.raises(ValueError, match="adversaries: the adaptive-optimal one is missing"):
         run(victim, Cell("adaptive-optimal", defense="mine"), make_defense())

@@ -15,12 +15,11 @@ from detden_lite.results.bare_victims import UNATTACKED
 from detden_lite.store import manifest
 
 RNG = np.random.default_rng(0)
-CELL = dict(cell=dict(timing="always", defense=MAIN))
 
 
 def ship(root, attack: str, returns) -> None:
     path = root / "results" / f"hopper-td3.{attack}.always.{MAIN}.json"
-    manifest.write_json(path, record(returns) | CELL, root)
+    manifest.write_json(path, record(returns).to_json(), root)
 
 
 def test_the_rows_are_those_that_the_recipe_adapts_to():
@@ -44,7 +43,7 @@ def test_only_adaptive_records_of_this_defence_are_loaded_and_altered_ones_refus
     }
     assert load_adaptive("hopper", "td3", "printed", tmp_path) == {}
     path = tmp_path / "results" / f"hopper-td3.text-opposite.always.{MAIN}.json"
-    path.write_text(path.read_text().replace("12", "99"))
+    path.write_text(path.read_text().replace("12.0", "99.0"))
     with pytest.raises(ArtifactError, match="truncated or altered"):
         load_adaptive("hopper", "td3", root=tmp_path)
 

@@ -17,7 +17,7 @@ RNG = np.random.default_rng(0)
 def ship(root, **returns) -> None:
     for name, values in returns.items():
         path = root / "results" / f"hopper-td3.{name.replace('_', '.')}.{MAIN}.json"
-        manifest.write_json(path, record(values), root)
+        manifest.write_json(path, record(values).to_json(), root)
 
 
 def test_only_records_of_this_defence_are_loaded_and_altered_ones_refused(tmp_path):
@@ -26,7 +26,7 @@ def test_only_records_of_this_defence_are_loaded_and_altered_ones_refused(tmp_pa
     assert set(load_defended("hopper", "td3", root=tmp_path)) == {UNATTACKED, ("enchanting", "vulnerable")}
     assert load_defended("hopper", "td3", "printed", tmp_path) == {}
     path = tmp_path / "results" / f"hopper-td3.none.always.{MAIN}.json"
-    path.write_text(path.read_text().replace("12", "99"))
+    path.write_text(path.read_text().replace("12.0", "99.0"))
     with pytest.raises(ArtifactError, match="truncated or altered"):
         load_defended("hopper", "td3", root=tmp_path)
 

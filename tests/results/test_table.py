@@ -24,7 +24,7 @@ def test_the_table_has_a_line_for_each_record_and_says_what_it_says(tmp_path):
             ("accuracy", record["detector"]["accuracy"]), ("f1", record["detector"]["f1"]),
             ("mae", record["denoiser_mae"]), ("attack_rate", record["attack_rate"]), ("auroc", record.get("auroc")),
             ("auroc_clean", record.get("auroc_clean")), ("mae_live", record.get("denoiser_mae_live")),
-            ("delay", record.get("delay", {}).get("mean")), ("missed", record.get("delay", {}).get("missed")),
+            ("delay", (record.get("delay") or {}).get("mean")), ("missed", (record.get("delay") or {}).get("missed")),
         ):  # fmt: skip
             assert line[column] == ("" if value is None else str(value)), (name, column)
 

@@ -12,7 +12,6 @@ from builders import make_gruvae, make_victim, normal
 
 from detden_lite.core.files import ArtifactError
 from detden_lite.core.networks import mlp
-from detden_lite.results import records
 from detden_lite.store import manifest, models, tensors
 from detden_lite.victims.victim import Victim
 
@@ -28,6 +27,10 @@ def root(tmp_path):
     return tmp_path
 
 
+def read_cell(root) -> dict:
+    return manifest.read_json(root / "results" / "cell.json", root)
+
+
 def test_what_was_saved_is_what_is_loaded(root):
     obs = normal(5, 11)
     victim = models.load_victim("hopper", "td3", root)
@@ -39,7 +42,7 @@ def test_what_was_saved_is_what_is_loaded(root):
     assert sidecar["data"] == "diverse" and sidecar["versions"]["torch"].startswith(torch.__version__.split("+")[0])
     defense = models.load_defense("hopper", "td3", "residual", root)
     assert defense.detector.threshold == 1.5 and defense.denoiser.model.config["residual"]
-    assert records.load_record("cell", root) == dict(mean=1.5)
+    assert read_cell(root) == dict(mean=1.5)
 
 
 @pytest.mark.parametrize("gaussian", [False, True])
@@ -81,7 +84,7 @@ def test_a_harmed_file_is_refused_by_name(root, harm, name):
 def test_a_harmed_record_is_refused_by_name(root, harm):
     harm(root / "results" / "cell.json")
     with pytest.raises(ArtifactError, match="cell.json"):
-        records.load_record("cell", root)
+        read_cell(root)
 
 
 @pytest.mark.parametrize("harm", [truncate, os.remove])
@@ -103,7 +106,7 @@ def test_a_pickle_is_not_opened_even_where_the_manifest_has_it(root):
 def test_a_stranger_is_refused(root):
     (root / "results" / "foreign.json").write_text("{}")
     with pytest.raises(ArtifactError, match="foreign.json is not in .*manifest.json"):
-        records.load_record("foreign", root)
+        manifest.read_json(root / "results" / "foreign.json", root)
 
 
 def test_weights_that_do_not_fit_their_sidecar_are_refused(root):
@@ -117,7 +120,7 @@ def test_weights_that_do_not_fit_their_sidecar_are_refused(root):
 def test_numbers_that_json_does_not_know_are_refused(root):
     with pytest.raises(ValueError):
         manifest.write_json(root / "results" / "cell.json", dict(mean=float("nan")), root)
-    assert records.load_record("cell", root) == dict(mean=1.5)
+    assert read_cell(root) == dict(mean=1.5)
 
 
 def test_made_is_what_is_there_with_its_sidecar_as_the_manifest_has_it(root):
@@ -195,7 +198,6 @@ FULL_DISK = """
 import json, pathlib, resource, signal, sys
 import torch
 from detden_lite.store import manifest, tensors, models
-from detden_lite.results import records
 from detden_lite.core import files
 from detden_lite.core.types import Trajectories
 from detden_lite.defense.training import VAERecipe, train_gruvae
@@ -278,9 +280,9 @@ manifest.write_json(root / "results" / "cell.json", dict(mean=2.5, more="x" * 10
 def test_a_kill_in_the_middle_of_a_write_leaves_the_old_file(root, name):
     """The process dies with half of the new content written; to the file itself it never writes."""
     status = subprocess.run([sys.executable, "-c", KILLED_WRITE, str(root), name]).returncode
-    assert (status, records.load_record("cell", root)["mean"]) == ((-9, 1.5) if name.endswith("new") else (0, 2.5))
+    assert (status, read_cell(root)["mean"]) == ((-9, 1.5) if name.endswith("new") else (0, 2.5))
     manifest.write_json(root / "results" / "cell.json", dict(mean=3.5), root)
-    assert records.load_record("cell", root) == dict(mean=3.5)
+    assert read_cell(root) == dict(mean=3.5)
 
 
 def test_writers_side_by_side_all_stand_in_the_manifest(tmp_path):
