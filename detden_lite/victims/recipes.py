@@ -3,7 +3,6 @@ and to resume. ``worlds(n)`` makes n worlds to train in, as one ``VecEnv`` of st
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -67,19 +66,6 @@ class TD3Recipe:
             policy_kwargs=dict(net_arch=[self.net, self.net]),
             seed=seed,
         )
-
-    def resume(self, worlds: Callable, checkpoint: Path):
-        """The model of a checkpoint."""
-        from sbx import TD3
-
-        model = TD3.load(checkpoint / "model.zip", env=self._normalized(worlds))
-        model.load_replay_buffer(checkpoint / "buffer.pkl")
-        return model
-
-    def save(self, model, checkpoint: Path) -> None:
-        """Write what ``resume`` needs."""
-        model.save(checkpoint / "model.zip")
-        model.save_replay_buffer(checkpoint / "buffer.pkl")
 
     def begin_segment(self, model, worlds: Callable, done: float) -> None:
         """Forget the episode under way. ``done`` is the share of the training that lies behind."""
@@ -158,19 +144,6 @@ class PPORecipe:
             ),
             seed=seed,
         )
-
-    def resume(self, worlds: Callable, checkpoint: Path):
-        """The model of a checkpoint, with its normaliser."""
-        from sbx import PPO
-        from stable_baselines3.common.vec_env import VecNormalize
-
-        env = VecNormalize.load(str(checkpoint / "normalizer.pkl"), worlds(self.envs))
-        return PPO.load(checkpoint / "model.zip", env=env)
-
-    def save(self, model, checkpoint: Path) -> None:
-        """Write what ``resume`` needs."""
-        model.save(checkpoint / "model.zip")
-        model.get_vec_normalize_env().save(str(checkpoint / "normalizer.pkl"))
 
     def begin_segment(self, model, worlds: Callable, done: float) -> None:
         """Forget the episodes under way. ``done`` is the share of the training that lies behind."""

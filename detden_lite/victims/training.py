@@ -3,7 +3,6 @@ kill."""
 
 import json
 import os
-import shutil
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -12,9 +11,10 @@ import numpy as np
 from safetensors.torch import save
 from tqdm import tqdm
 
-from detden_lite.core.files import replace_file, unwritable
+from detden_lite.core.files import ArtifactError, replace_file
 from detden_lite.core.random_streams import derived_seed
 from detden_lite.core.tasks import Task
+from detden_lite.victims import checkpoints
 from detden_lite.victims.recipes import PPORecipe, TD3Recipe
 from detden_lite.victims.victim import Victim
 
@@ -42,20 +42,16 @@ def train(
 
     Raises:
         ValueError: if ``folder`` holds a run of another recipe.
-        ArtifactError: if there is no room for a snapshot or a checkpoint; the last checkpoint is then as it was.
+        ArtifactError: if a snapshot or a checkpoint cannot be written (the last checkpoint is then as it was), or the
+            checkpoint is damaged; see ``detden_lite.victims.checkpoints``.
     """
     os.environ.setdefault("XLA_FLAGS", XLA_FLAGS)
     folder = Path(folder)
     claim(folder, dict(task=task.name, seed=seed, **(about or {}), **recipe.identity))
     checkpoint, snapshots = folder / "checkpoint", folder / "snapshots"
     snapshots.mkdir(exist_ok=True)
-    if not checkpoint.exists() and (old := checkpoint.with_name("checkpoint.old")).exists():
-        old.rename(checkpoint)  # a kill came between the two renames of _save_checkpoint
-    if checkpoint.exists():
-        model = recipe.resume(worlds, checkpoint)
-        done = json.loads((checkpoint / "segments.json").read_text())
-    else:
-        model, done = recipe.start(worlds, seed), 0
+    model = recipe.start(worlds, seed)
+    done = checkpoints.load(model, checkpoint)
 
     segments, saved = recipe.steps // recipe.segment, time.monotonic()
     label = f"{type(model).__name__} {task.name} seed {seed}"
@@ -68,7 +64,7 @@ def train(
             victim = Victim.from_sb3(model, model.get_vec_normalize_env())
             replace_file(snapshots / f"{steps:08d}.safetensors", save(victim.state_dict()))
             if segment + 1 == segments or time.monotonic() - saved >= checkpoint_seconds:
-                _save_checkpoint(recipe, model, checkpoint, segment + 1)
+                checkpoints.save(model, checkpoint, segment + 1)
                 saved = time.monotonic()
             returns = [episode["r"] for episode in model.ep_info_buffer]
             bar.set_postfix(training_return=f"{np.mean(returns):.0f}" if returns else "-")
@@ -80,23 +76,9 @@ def claim(folder: Path, description: dict) -> None:
     """Make a folder and write down what it is for; a ValueError if it is there for something else."""
     folder.mkdir(parents=True, exist_ok=True)
     recipe_file = folder / "recipe.json"
-    if recipe_file.exists() and json.loads(recipe_file.read_text()) != description:
-        raise ValueError(f"{recipe_file} describes another run; choose another folder, or remove {folder}")
-    replace_file(recipe_file, json.dumps(description, indent=1).encode())
-
-
-def _save_checkpoint(recipe: TD3Recipe | PPORecipe, model, checkpoint: Path, segments: int) -> None:
-    new, old = (checkpoint.with_name(f"checkpoint.{name}") for name in ("new", "old"))
-    shutil.rmtree(new, ignore_errors=True)
     try:
-        new.mkdir()
-        recipe.save(model, new)
-        (new / "segments.json").write_text(json.dumps(segments))
-    except OSError as error:
-        shutil.rmtree(new, ignore_errors=True)
-        raise unwritable(checkpoint, error) from None
-    if checkpoint.exists():
-        shutil.rmtree(old, ignore_errors=True)
-        checkpoint.rename(old)
-    new.rename(checkpoint)
-    shutil.rmtree(old, ignore_errors=True)
+        if recipe_file.exists() and json.loads(recipe_file.read_text()) != description:
+            raise ValueError(f"{recipe_file} describes another run; choose another folder, or remove {folder}")
+    except (json.JSONDecodeError, UnicodeDecodeError):
+        raise ArtifactError(f"{recipe_file} is damaged; restore it, or remove {folder} to train anew") from None
+    replace_file(recipe_file, json.dumps(description, indent=1).encode())

@@ -19,7 +19,7 @@ from detden_lite.recipe import adversary_stages, episode_seeds, evaluation
 from detden_lite.recipe.run import Run
 from detden_lite.simulation.rollout import rollout
 from detden_lite.store import manifest, models, tensors
-from detden_lite.victims import training
+from detden_lite.victims import checkpoints, training
 from detden_lite.victims.recipes import AdversaryRecipe
 from detden_lite.victims.training import train
 from detden_lite.victims.victim import Victim
@@ -59,10 +59,11 @@ def test_a_training_that_is_interrupted_and_resumed_is_one_that_never_stopped(tr
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(training, "tqdm", Interrupting)
         train(HOPPER, RECIPE, 0, tmp_path, worlds, dict(victim="a"), checkpoint_seconds=0)
-    assert len(contents(tmp_path)) == 1 and (tmp_path / "checkpoint" / "segments.json").read_text() == "1"
+    assert len(contents(tmp_path)) == 1 and checkpoints.load(RECIPE.start(worlds, 0), tmp_path / "checkpoint") == 1
     train(HOPPER, RECIPE, 0, tmp_path, worlds, dict(victim="a"))
     assert contents(tmp_path) == contents(trained)
-    model = RECIPE.resume(worlds, tmp_path / "checkpoint")
+    model = RECIPE.start(worlds, 0)
+    assert checkpoints.load(model, tmp_path / "checkpoint") == 4
     assert model.num_timesteps == 512 and model.ent_coef == 0.01
 
 

@@ -1,4 +1,5 @@
-import os
+import hashlib
+import json
 import re
 import shutil
 import signal
@@ -15,9 +16,10 @@ import torch
 from builders import HOPPER, normal
 from safetensors.torch import load_file
 
+from detden_lite.core.files import ArtifactError
 from detden_lite.core.tasks import get_task
 from detden_lite.simulation.training_worlds import task_worlds, train_victim
-from detden_lite.victims import training
+from detden_lite.victims import checkpoints, training
 from detden_lite.victims.recipes import PPORecipe, TD3Recipe
 from detden_lite.victims.victim import Victim
 
@@ -85,7 +87,9 @@ def test_a_training_that_is_killed_and_resumed_is_one_that_never_stopped(tmp_pat
 
 
 def saved_model(folder: Path, recipe):
-    return recipe.resume(WORLDS, folder / "checkpoint")
+    model = recipe.start(WORLDS, 9)
+    assert checkpoints.load(model, folder / "checkpoint") > 0
+    return model
 
 
 def test_a_checkpoint_remembers_the_returns_of_the_last_episodes(uninterrupted, recipe):
@@ -149,20 +153,95 @@ def test_the_learning_rate_of_ppo_falls_from_segment_to_segment_to_zero():
     assert rates == pytest.approx([share * recipe.learning_rate for share in (1, 1, 0.6, 0.6, 0.2, 0.2)])
 
 
-def test_a_kill_between_two_checkpoints_loses_neither(tmp_path, uninterrupted, recipe):
-    """The old one has been put aside, the new one is not yet in its place."""
-    folder = shutil.copytree(uninterrupted, tmp_path / "copy")
-    os.rename(folder / "checkpoint", folder / "checkpoint.old")
-    (folder / "checkpoint.new").mkdir()
-    shutil.rmtree(folder / "snapshots")
-    assert train_victim(HOPPER, recipe, 0, folder) == []  # it goes on after the last segment, and does nothing anew
-    assert (folder / "checkpoint" / "model.zip").exists()
+def test_a_kill_between_model_and_record_keeps_the_last_checkpoint(tmp_path, begun, uninterrupted, recipe):
+    """The next model is written whole, and one more half; the record still names the one before."""
+    folder = shutil.copytree(begun, tmp_path / "copy")
+    (folder / "checkpoint" / "model-2.npz").write_bytes(b"whole")
+    (folder / "checkpoint" / "model-3.npz.0.new.npz").write_bytes(b"ha")
+    train_victim(HOPPER, recipe, 0, folder)
+    assert contents(folder) == contents(uninterrupted)
+    assert sorted(path.name for path in (folder / "checkpoint").iterdir()) == ["model-5.npz", "segments.json"]
+
+
+def test_a_kill_during_the_first_checkpoint_starts_anew(tmp_path, begun, uninterrupted, recipe):
+    folder = shutil.copytree(begun, tmp_path / "copy")
+    (folder / "checkpoint" / "segments.json").write_text('{"segments": 0, "sha256": {}}')
+    train_victim(HOPPER, recipe, 0, folder)
+    assert contents(folder) == contents(uninterrupted)
 
 
 def test_a_finished_training_is_not_repeated(uninterrupted, recipe):
-    before = contents(uninterrupted), (uninterrupted / "checkpoint" / "model.zip").stat().st_mtime_ns
+    before = contents(uninterrupted), times(uninterrupted)
     train_victim(HOPPER, recipe, 0, uninterrupted)
-    assert (contents(uninterrupted), (uninterrupted / "checkpoint" / "model.zip").stat().st_mtime_ns) == before
+    assert (contents(uninterrupted), times(uninterrupted)) == before
+
+
+def times(folder: Path) -> list[int]:
+    return [path.stat().st_mtime_ns for path in (folder / "checkpoint").iterdir()]
+
+
+class Trap:
+    """A pickle that leaves a trace when it is loaded."""
+
+    def __init__(self, trace: Path):
+        self.trace = trace
+
+    def __reduce__(self):
+        return (Path.touch, (self.trace,))
+
+
+def trapped(folder: Path) -> None:
+    """A model of pickles, and the record's SHA-256 with it: hashes alone do not make a pickle safe."""
+    path = folder / "checkpoint" / "model-1.npz"
+    np.savez(path, segments=np.array(1), key=np.array([Trap(folder / "trace")], dtype=object))
+    rewritten(folder, sha256={path.name: hashlib.sha256(path.read_bytes()).hexdigest()})
+
+
+def rewritten(folder: Path, **changes) -> None:
+    record = folder / "checkpoint" / "segments.json"
+    record.write_text(json.dumps(json.loads(record.read_text()) | changes))
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-9])
+
+
+def altered(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+DAMAGES = dict(
+    record_is_a_number=(lambda f: (f / "checkpoint" / "segments.json").write_text("99"), "segments.json"),
+    record_cut=(lambda f: cut(f / "checkpoint" / "segments.json"), "segments.json"),
+    record_is_no_text=(lambda f: (f / "checkpoint" / "segments.json").write_bytes(b"\xff\xfe"), "segments.json"),
+    record_is_a_list=(lambda f: (f / "checkpoint" / "segments.json").write_text("[1]"), "segments.json"),
+    record_without_sums=(lambda f: (f / "checkpoint" / "segments.json").write_text('{"segments": 1}'), "segments.json"),
+    record_of_more_segments=(lambda f: rewritten(f, segments=5), "segments.json"),
+    record_missing=(lambda f: (f / "checkpoint" / "segments.json").unlink(), "segments.json"),
+    sum_of_another_file=(lambda f: rewritten(f, sha256={"../model-1.npz": "0"}), "segments.json"),
+    model_missing=(lambda f: (f / "checkpoint" / "model-1.npz").unlink(), "model-1.npz"),
+    model_cut=(lambda f: cut(f / "checkpoint" / "model-1.npz"), "model-1.npz"),
+    model_altered=(lambda f: altered(f / "checkpoint" / "model-1.npz"), "model-1.npz"),
+    model_pickled=(trapped, "model-1.npz"),
+    recipe_cut=(lambda f: cut(f / "recipe.json"), "recipe.json"),
+)
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_checkpoint_is_refused_by_name(tmp_path, begun, recipe, damage):
+    do, name = DAMAGES[damage]
+    folder = shutil.copytree(begun, tmp_path / "copy")
+    do(folder)
+    with pytest.raises(ArtifactError, match=f"{name}.*(train anew|run again)"):
+        train_victim(HOPPER, recipe, 0, folder)
+    assert not (folder / "trace").exists() and contents(folder) == contents(begun)
+
+
+def test_a_checkpoint_of_another_network_is_refused(begun, recipe):
+    with pytest.raises(ArtifactError, match="model-1.npz does not fit this recipe"):
+        checkpoints.load(replace(recipe, net=8).start(WORLDS, 0), begun / "checkpoint")
 
 
 def test_a_finished_training_of_td3_can_be_prolonged_and_one_of_ppo_cannot(tmp_path, uninterrupted, recipe, algo):
@@ -223,7 +302,7 @@ def begun(tmp_path_factory, recipe) -> Path:
     return folder
 
 
-QUOTAS = {100: "recipe.json", 1_000: "safetensors", 30_000: "checkpoint"}  # bytes, and what is too large for them
+QUOTAS = {100: "recipe.json", 1_000: "safetensors", 12_000: "npz"}  # bytes, and what is too large for them
 FULL_DISK = """
 import resource, signal, sys
 from pathlib import Path
@@ -262,7 +341,6 @@ def test_a_full_disk_leaves_the_last_checkpoint_whole(tmp_path, begun, uninterru
         assert re.search(rf"{refused} could not be written \(.+\); free some space and run again$", message)
         after = everything(tmp_path / str(quota))
         assert before.items() <= after.items() and not [name for name in after if ".new" in name or ".old" in name]
-        assert not (tmp_path / str(quota) / "checkpoint.new").exists()
-        assert len(contents(tmp_path / str(quota))) == (5 if refused == "checkpoint" else 1)
+        assert len(contents(tmp_path / str(quota))) == (5 if refused == "npz" else 1)
     train_victim(HOPPER, recipe, 0, tmp_path / str(quota))  # there is room again
     assert contents(tmp_path / str(quota)) == contents(uninterrupted)
