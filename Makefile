@@ -19,13 +19,21 @@ TOOLS := $(wildcard book/tools/*.py)
 SCALES := $(patsubst data/config/%.yaml,%,$(wildcard data/config/*.yaml))
 LIBRARY := $(wildcard detden_lite/*.py detden_lite/*/*.py)
 DATA := $(wildcard data/* data/*/*)
-BOOK := $(CHAPTERS) $(TOOLS) $(wildcard book/*.* book/_static/* book/images/* book/viewer/*/*)
+BOOK := $(CHAPTERS) $(TOOLS) $(wildcard book/*.* book/api/* book/_static/* book/images/* book/viewer/*/*)
+ROOMS := core victims simulation defense attacks store theory results checks
 
 .DEFAULT_GOAL := help
-.PHONY: help book test notebooks lab data durations bench lint lock clean
+.PHONY: help book test test-fast notebooks lab data durations bench lint lock clean
+
+# Here, and not in the recipe of data: what cannot be made is refused before the environment is made for it.
+ifneq ($(filter data,$(MAKECMDGOALS)),)
+ifneq ($(words $(SCALE))$(filter-out $(SCALES),$(SCALE)),1)
+$(error SCALE=$(SCALE) is unknown; choose one of: $(SCALES))
+endif
+endif
 
 help: ## List the targets
-	@$(PYTHON) -c "import re; [print(f'make {t:<10} {d}') for t, d in re.findall(r'^(\w+):.*?## (.+)$$', open('Makefile', encoding='utf-8').read(), re.M)]"
+	@$(PYTHON) -c "import re; [print(f'make {t:<10} {d}') for t, d in re.findall(r'^([\w-]+):.*?## (.+)$$', open('Makefile', encoding='utf-8').read(), re.M)]"
 
 book: _build/html.stamp ## Build the book and serve it at localhost (SERVE=0: only build; PORT=8000)
 ifneq ($(SERVE),0)
@@ -36,15 +44,18 @@ test: _build/html.stamp ## Run the tests: the library, the notebooks, the built 
 	$(PY) book/tools/student.py --solved _build/solved
 	$(PY) -m pytest tests _build/solved --nbmake --nbmake-timeout=90
 
+test-fast: .venv/stamp ## Run the quick tests of the library: no book, no browser, no recipe
+	$(PY) -m pytest $(addprefix tests/,$(ROOMS)) -m "not slow"
+
 notebooks: .venv/stamp ## Write notebooks/ anew from book/chapters/
 	$(PY) book/tools/student.py notebooks
 
+# It serves the whole repository: notebooks link to films and pages beside them. LAB takes more options of JupyterLab.
 lab: .venv/stamp ## Open the notebooks in JupyterLab
-	$(PY) -m jupyter lab --notebook-dir=notebooks
+	$(PY) -m jupyter lab --ServerApp.root_dir=. --LabApp.default_url=/lab/tree/notebooks $(LAB)
 
 # GOALS takes whatever else Snakemake knows: -n, --unlock, publish.
 data: .venv/stamp ## Make everything in data/ anew, in runs/SCALE (SCALE=tiny, lite, paper; ROWS="hopper-td3 ant-ppo"; JOBS=2; FILMS=false)
-	$(if $(filter-out $(SCALES),$(SCALE)),$(error SCALE=$(SCALE) is unknown; choose one of: $(SCALES)))
 	$(PY) -m snakemake $(GOALS) --snakefile data/Snakefile --configfile data/config/$(SCALE).yaml --directory runs/$(SCALE) --jobs $(JOBS) --config only="$(ROWS)" films=$(FILMS)
 
 durations: .venv/stamp ## Print how long each stage of make data SCALE=lite takes, and how fast victims train
@@ -53,9 +64,11 @@ durations: .venv/stamp ## Print how long each stage of make data SCALE=lite take
 bench: .venv/stamp ## Print the benchmarks
 	$(PY) -c "import pathlib, subprocess, sys; [subprocess.run([sys.executable, str(p)], check=True) for p in sorted(pathlib.Path('tests/benchmarks').glob('*.py'))]"
 
-lint: .venv/stamp ## Check the style
+lint: .venv/stamp ## Check the style, which room imports from which, and the types
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
+	$(BIN)/lint-imports
+	$(PY) -m mypy
 
 lock: .venv/stamp ## Resolve environment.lock anew from pyproject.toml
 	$(BIN)/uv pip compile -q pyproject.toml --extra all --universal --python-version 3.11 --generate-hashes --no-emit-index-url --custom-compile-command "make lock" --upgrade -o environment.lock
@@ -76,12 +89,14 @@ clean: ## Remove everything that was made, .venv included
 
 # The cache of executed chapters knows their code, but neither the library nor the data: when those change, it goes.
 _build/cache.stamp: .venv/stamp $(LIBRARY) $(DATA)
-	$(PY) -c "import pathlib, shutil; shutil.rmtree('_build/.jupyter_cache', ignore_errors=True); pathlib.Path('_build').mkdir(exist_ok=True); open('$@', 'w')"
+	$(PY) -c "import pathlib, shutil; shutil.rmtree('_build/new/_build/.jupyter_cache', ignore_errors=True); pathlib.Path('_build').mkdir(exist_ok=True); open('$@', 'w')"
 
 _build/vendor/widgets/embed.js: .venv/stamp book/tools/widget_player.py
 	$(PY) book/tools/widget_player.py $@
 
+# The book is built aside and takes its place when it is whole: a build that fails or is interrupted leaves the old one.
 _build/html.stamp: _build/cache.stamp _build/vendor/widgets/embed.js $(BOOK)
-	$(PY) -c "import shutil; shutil.rmtree('_build/html', ignore_errors=True)"
-	$(BIN)/jupyter-book build book --path-output . --all --warningiserror --keep-going
+	$(PY) -c "import shutil; shutil.rmtree('_build/new/_build/html', ignore_errors=True)"
+	$(BIN)/jupyter-book build book --path-output _build/new --all --warningiserror --keep-going
+	@$(PY) -c "import os, shutil; shutil.rmtree('_build/old', ignore_errors=True); os.path.exists('_build/html') and os.rename('_build/html', '_build/old'); os.rename('_build/new/_build/html', '_build/html'); shutil.rmtree('_build/old', ignore_errors=True)"
 	@$(PY) -c "open('$@', 'w')"

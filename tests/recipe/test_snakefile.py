@@ -3,7 +3,6 @@
 import csv
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -146,14 +145,6 @@ def test_only_what_is_worth_it_is_published(tmp_path):
 def test_what_the_recipe_does_not_know_it_refuses(tmp_path, arguments, message):
     printed = refuse(tmp_path, "--dry-run", *arguments)
     assert message in printed and "Traceback" not in printed
-
-
-@pytest.mark.skipif(not shutil.which("make"), reason="there is no make")
-def test_make_refuses_an_unknown_scale(tmp_path):
-    make = ["make", "--dry-run", "-o", ".venv/stamp", "data"]
-    assert "--configfile data/config/lite.yaml" in subprocess.check_output([*make, "SCALE=lite"], cwd=ROOT, text=True)
-    refused = subprocess.run([*make, "SCALE=huge"], cwd=ROOT, capture_output=True, text=True)
-    assert refused.returncode != 0 and "SCALE=huge is unknown; choose one of: lite paper tiny" in refused.stderr
 
 
 def test_the_graph_for_the_book_is_that_of_the_stages():
