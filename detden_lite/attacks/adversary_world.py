@@ -5,12 +5,15 @@ import torch
 from gymnasium.spaces import Box
 from stable_baselines3.common.vec_env import VecEnv
 
+from detden_lite.attacks.base import check_budget
 from detden_lite.attacks.optimal import perturb
 from detden_lite.attacks.timing import Always
+from detden_lite.core.arguments import check_whole
 from detden_lite.core.budget import Budget
 from detden_lite.core.tasks import Task
 from detden_lite.core.types import Defense, Timing
 from detden_lite.simulation.fast_simulator import make_simulator
+from detden_lite.simulation.guests import check_guests, check_horizon
 from detden_lite.victims.victim import Victim
 
 
@@ -30,12 +33,21 @@ class AdversaryEnv(VecEnv):
         timing: when to attack; always by default.
         defense: what the victim's observations pass through, if anything; see ``detden_lite.defense``.
         steps: the longest an episode may be; the task's horizon by default.
+
+    Raises:
+        ValueError: if a number is not in its range, or a part is of another kind or of another task.
     """
 
     def __init__(
         self, victim: Victim, task: Task, budget: Budget, n: int, timing: Timing | None = None,
         defense: Defense | None = None, steps: int | None = None,
-    ):  # fmt: skip
+    ) -> None:  # fmt: skip
+        check_whole(1, n=n)
+        check_horizon(steps)
+        check_guests(None, timing, defense)
+        check_budget(budget, task.obs_dim)
+        if (victim.obs_dim, victim.action_dim) != (task.obs_dim, task.action_dim):
+            raise ValueError(f"victim: its sizes are not those of {task.env_id}; give the victim of this task")
         self.victim, self.budget, self.timing, self.defense = victim, budget, timing or Always(), defense
         self.simulator, self.horizon = make_simulator(task.env_id, range(n)), steps or task.horizon
         everything = Box(-np.inf, np.inf, (task.obs_dim,), np.float32)

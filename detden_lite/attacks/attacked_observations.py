@@ -1,12 +1,15 @@
 """A gymnasium environment whose observations are attacked: an attack in anybody's loop (section 2.2 of the paper)."""
 
+from typing import SupportsFloat
+
 import gymnasium
 import numpy as np
 import torch
 from gymnasium.utils import RecordConstructorArgs
 
 from detden_lite.attacks.timing import Always
-from detden_lite.core.types import World
+from detden_lite.core.types import Attack, Timing, World
+from detden_lite.simulation.guests import check_guests
 
 
 class AttackedObservations(gymnasium.Wrapper, RecordConstructorArgs):
@@ -22,14 +25,20 @@ class AttackedObservations(gymnasium.Wrapper, RecordConstructorArgs):
         timing: when to attack; always by default.
 
     Raises:
-        ValueError: if the attack needs the simulator or the defence, which a loop of one's own does not hand out.
+        ValueError: if the attack needs the simulator or the defence, which a loop of one's own does not hand out; if
+            attack or timing are none; or if the environment's observations are not those that the attack was made for.
     """
 
-    def __init__(self, env: gymnasium.Env, attack, timing=None):
-        online = attack.needs & {"simulator", "defense"}
-        if online:
+    def __init__(self, env: gymnasium.Env, attack: Attack, timing: Timing | None = None) -> None:
+        name, made_for = type(attack).__name__, getattr(attack, "obs_dim", None)
+        if online := set(getattr(attack, "needs", ())) & {"simulator", "defense"}:
             needs = " and the ".join(sorted(online))
-            raise ValueError(f"attack: {type(attack).__name__} needs the {needs}; use detden_lite.rollout for it")
+            raise ValueError(f"attack: {name} needs the {needs}; use detden_lite.rollout for it")
+        check_guests(attack, timing, None)
+        shape = env.observation_space.shape or ()
+        if len(shape) != 1 or made_for not in (None, *shape):
+            size = made_for or "any number of"
+            raise ValueError(f"env: an observation has the shape {shape}, and {name} attacks {size} numbers in a row")
         RecordConstructorArgs.__init__(self, attack=attack, timing=timing)
         gymnasium.Wrapper.__init__(self, env)
         self.attack, self.timing = attack, timing or Always()
@@ -45,7 +54,8 @@ class AttackedObservations(gymnasium.Wrapper, RecordConstructorArgs):
             part.reset([episode])
         return self._shown(obs, info)
 
-    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, SupportsFloat, bool, bool, dict]:
+        """One step of the environment; the observation that comes out is attacked where the timing says so."""
         obs, reward, terminated, truncated, info = self.env.step(action)
         obs, info = self._shown(obs, info)
         return obs, reward, terminated, truncated, info

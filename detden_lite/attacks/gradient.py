@@ -6,14 +6,17 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
+from detden_lite.attacks.base import BallAttack, check_kind
+from detden_lite.core.arguments import check_whole
 from detden_lite.core.ascent import ascend
 from detden_lite.core.budget import Budget
 from detden_lite.core.random_streams import RandomStreams
+from detden_lite.core.types import World
 from detden_lite.victims.action_gradients import ActionObjective, Policy
 from detden_lite.victims.victim import Victim
 
 
-class GradientAttack(ABC):
+class GradientAttack(BallAttack, ABC):
     """Projected gradient ascent from a random start, at every call.
 
     Args:
@@ -23,28 +26,36 @@ class GradientAttack(ABC):
         restarts: random starts; the best is taken.
         seed: of the random starts.
         dtype: in which the networks are computed. bfloat16 is for large sets offline, on a processor that has it.
+
+    Raises:
+        ValueError: if an argument is of another kind or not in its range; and at the first call, if the observations
+            are of another task.
     """
 
-    needs: frozenset[str]
     clips = True  # whether a Gaussian policy's mean is clipped to the action bounds before it is judged
 
     def __init__(
         self, victim: Victim, budget: Budget, steps: int = 20, restarts: int = 1, seed: int = 0,
         dtype: torch.dtype = torch.float32,
-    ):  # fmt: skip
-        self.victim, self.budget, self.steps, self.restarts, self.seed = victim, budget, steps, restarts, seed
+    ) -> None:  # fmt: skip
+        check_kind(Victim, victim=victim)
+        check_whole(1, steps=steps, restarts=restarts)
+        super().__init__(budget, victim.obs_dim)
+        self.victim, self.steps, self.restarts, self.seed = victim, steps, restarts, seed
         self.policy = Policy(victim, self.clips, dtype)
 
     @abstractmethod
-    def objective(self, obs: Tensor, world=None) -> ActionObjective:
+    def objective(self, obs: Tensor, world: World | None = None) -> ActionObjective:
         """What is to be large, for perturbed observations of ``obs`` ``[n, obs_dim]``: the rows that are wanted."""
 
     def reset(self, episodes: Sequence[int] | None = None) -> None:
         """Begin new episodes, one seed each; None for offline use on any number of rows."""
+        super().reset(episodes)
         self.streams = RandomStreams(self.seed, episodes)
 
-    def __call__(self, obs: Tensor, world=None) -> Tensor:
+    def __call__(self, obs: Tensor, world: World | None = None) -> Tensor:
         """Perturbed observations ``[N, obs_dim]``; rows that the world does not want come back as they are."""
+        self.check(obs)
         wanted = torch.ones(len(obs), dtype=torch.bool) if world is None else torch.from_numpy(world.wanted)
         return self.ascend(self.objective(obs[wanted], world), obs, wanted)
 

@@ -1,7 +1,7 @@
-"""An attacker who knows the defence: what he sees of it at one step, with gradients (section 4.4).
+"""An attacker who knows the defence: what they see of it at one step, with gradients (section 4.4).
 
-He knows the networks, what they remember, and the threshold. The noise of their latents he does not know: he draws K
-samples of his own, and expects what is their mean (expectation over transformation, Athalye et al., 2018).
+They know the networks, the networks' memory and the threshold, but not the noise of the latents. So they take K samples
+of their own, and maximise the mean over them (expectation over transformation, Athalye et al., 2018).
 """
 
 from abc import ABC, abstractmethod
@@ -12,9 +12,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from detden_lite.attacks.base import BallAttack, check_kind
 from detden_lite.attacks.gradient import GradientAttack
 from detden_lite.core.random_streams import RandomStreams, derived_seed
-from detden_lite.defense.gruvae import GRUVAE, sample
+from detden_lite.core.types import World
+from detden_lite.defense.gruvae import sample
+from detden_lite.defense.memory import Recurrent
 from detden_lite.defense.pipeline import DetectAndDenoise
 
 
@@ -39,8 +42,11 @@ class View:
         return ((perturbed - self.reconstruct(perturbed)) / self.scale).abs()
 
 
-def one_step(part, rows: Tensor, noise: Tensor | None) -> Callable[[Tensor], Tensor]:
-    """What a ``Detector`` or ``Denoiser`` puts out at its next step, as a function of what it is shown.
+Views = Callable[[int], View]  # the view of a defence in so many latent samples, new ones at every call
+
+
+def one_step(part: Recurrent, rows: Tensor, noise: Tensor | None) -> Callable[[Tensor], Tensor]:
+    """The output of a ``Detector`` or ``Denoiser`` at its next step, as a function of what it is shown.
 
     Args:
         part: the detector or denoiser, whose memory stays as it is.
@@ -51,10 +57,10 @@ def one_step(part, rows: Tensor, noise: Tensor | None) -> Callable[[Tensor], Ten
         A function from ``[n, obs_dim]`` to ``[K, n, obs_dim]``, with a gradient.
     """
     model, samples = part.model, 1 if noise is None else len(noise)
-    encoder_state, decoder_state = part.state or (None, None)
-    if part.state:
-        encoder_state = encoder_state[:, rows].contiguous()
-        decoder_state = decoder_state[:, rows].repeat(1, samples, 1)
+    encoder_state = decoder_state = None
+    if part.state is not None:
+        encoder_state = part.state[0][:, rows].contiguous()
+        decoder_state = part.state[1][:, rows].repeat(1, samples, 1)
 
     def step(obs: Tensor) -> Tensor:
         mean, log_variance, _ = model.encode(obs[:, None], encoder_state)
@@ -75,89 +81,89 @@ def view_defense(
         rows: the attacked ones of its N episodes, ``[N]`` bool, n of them.
         streams: the attacker's, of n rows.
         samples: K, latent samples of each row.
-        action: what the policy did one step before, ``[n, action_dim]``; a GRU-VAE does not ask for it.
+        action: what the policy did one step before, ``[n, action_dim]``; a GRU-VAE does not use it.
 
     Raises:
         ValueError: if detector or denoiser is no GRU-VAE.
     """
 
-    def through(part) -> Callable[[Tensor], Tensor]:
-        model = getattr(part, "model", None)
-        if not isinstance(model, GRUVAE):
-            raise ValueError(
-                f"defense: its {type(part).__name__} is no GRU-VAE; give the attack a view of your own, which makes a "
-                "View of it"
-            )
-        if not part.sample:
-            return one_step(part, rows, None)
-        n = int(rows.sum())
-        noise = streams.normal(n * samples, model.latent_dim).reshape(n, samples, -1)
-        return one_step(part, rows, noise.transpose(0, 1))
-
-    reconstruct = through(defense.detector)
-    denoise = reconstruct if defense.denoiser is None else through(defense.denoiser)
-    budget = defense.budget
+    n, budget, through, units = int(rows.sum()), defense.budget, [], []
+    for part in defense.parts:
+        if not isinstance(part, Recurrent):
+            raise ValueError(f"defense: its {type(part).__name__} is no GRU-VAE; give the attack a view of your own")
+        noise = None
+        if part.sample:
+            noise = streams.normal(n * samples, part.model.latent_dim).reshape(n, samples, -1).transpose(0, 1)
+        through.append(one_step(part, rows, noise))
+        units.append(part.model.obs_std)
+    reconstruct, denoise = through[0], through[-1]  # without a denoiser they are the same
     return View(
         reconstruct,
         denoise if budget is None else lambda obs: budget.project(obs, denoise(obs)),
-        defense.detector.model.obs_std,
+        units[0],
         -torch.inf if defense.always else defense.detector.threshold,  # what is always denoised is always alarming
     )
 
 
-class InformedAttack(ABC):
+class InformedAttack(BallAttack, ABC):
     """An attack that knows policy and defence.
 
     Args:
-        attack: the attack that does not know the defence: what it calls damage is damage here too.
-        seed: of the attacker's draws.
+        attack: the attack that does not know the defence; its objective is the damage here too.
+        seed: of the attacker's random numbers.
         view: how to see a defence, with the arguments of ``view_defense``.
+
+    Raises:
+        ValueError: if ``attack`` is no gradient attack.
     """
 
-    def __init__(self, attack: GradientAttack, seed: int = 0, view: Callable[..., View] = view_defense):
-        self.attack, self.seed, self.view, self.budget = attack, seed, view, attack.budget
+    def __init__(self, attack: GradientAttack, seed: int = 0, view: Callable[..., View] = view_defense) -> None:
+        check_kind(GradientAttack, attack=attack)
+        super().__init__(attack.budget, attack.victim.obs_dim)
+        self.attack, self.seed, self.view = attack, seed, view
         self.needs = attack.needs | {"defense"}
         self.policy = attack.victim.straight_through if attack.clips else attack.victim.mean
 
     @property
     @abstractmethod
-    def settings(self) -> dict:
-        """What a result record says of it."""
+    def settings(self) -> dict[str, float | str]:
+        """Its settings, for a result record."""
 
     @abstractmethod
-    def perturb(
-        self, obs: Tensor, wanted: Tensor, world, views: Callable[[int], View], streams: RandomStreams
-    ) -> Tensor:
+    def perturb(self, obs: Tensor, wanted: Tensor, world: World, views: Views, streams: RandomStreams) -> Tensor:
         """The perturbed observations ``[N, obs_dim]``.
 
         Args:
             obs: true observations ``[N, obs_dim]``.
             wanted: whose perturbed observation will be used, ``[N]`` bool, n > 0 of them.
             world: what ``rollout`` hands to the attack.
-            views: gives a view of the defence for the n rows and so many samples, new ones at every call.
+            views: gives views of the defence for the n rows.
             streams: of the n rows.
         """
 
     def reset(self, episodes: Sequence[int] | None = None) -> None:
         """Begin new episodes, one seed each; None for offline use on any number of rows."""
+        super().reset(episodes)
         self.attack.reset(episodes)
         self.episodes, self.step = None if episodes is None else np.asarray(episodes), 0
 
     @torch.no_grad()
-    def __call__(self, obs: Tensor, world=None) -> Tensor:
+    def __call__(self, obs: Tensor, world: World | None = None) -> Tensor:
         """Perturbed observations ``[N, obs_dim]``; rows that the world does not want come back as they are.
 
         Raises:
-            ValueError: if there is no defence.
+            ValueError: if there is no defence; and as ``check``.
         """
-        defense = getattr(world, "defense", None)
-        if defense is None:
+        self.check(obs)
+        if world is None or world.defense is None:
             raise ValueError("world: it has no defense to adapt to; give one, or use the attack without adaptation")
-        # Every step has streams of its own, so that what one draws, and for whom, changes nothing in another.
+        defense = world.defense
+        # Every step has streams of its own, so that the random numbers of one step, and the rows that it perturbs,
+        # change nothing in another.
         seed, self.step = derived_seed(self.seed, self.step), self.step + 1
         wanted = torch.from_numpy(world.wanted)
         if not wanted.any():
-            return self.attack(obs, world)  # only so that what it draws and plans goes on
+            return self.attack(obs, world)  # only so that its random numbers and its plans go on
         streams = RandomStreams(seed, None if self.episodes is None else self.episodes[world.wanted])
         action = None if world.action is None else world.action[wanted]
         return self.perturb(obs, wanted, world, lambda k: self.view(defense, wanted, streams, k, action), streams)

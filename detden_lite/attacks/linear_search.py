@@ -1,4 +1,4 @@
-"""The cheap cousin of a learned adversary: a cross-entropy search for a linear map from observation to perturbation."""
+"""A cheap adversary: a cross-entropy search for a linear map from observation to perturbation."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
@@ -10,6 +10,7 @@ from safetensors.torch import load_file, save
 from torch import Tensor
 from tqdm import tqdm
 
+from detden_lite.core.arguments import check_between, check_positive, check_whole
 from detden_lite.core.files import replace_file
 from detden_lite.core.tasks import Task
 from detden_lite.victims.training import claim
@@ -18,7 +19,11 @@ from detden_lite.victims.victim import Victim
 
 @dataclass(frozen=True)
 class LinearRecipe:
-    """Sizes of the search. Its distribution is a Gaussian whose components are independent."""
+    """Sizes of the search. Its distribution is a Gaussian whose components are independent.
+
+    Raises:
+        ValueError: if one of them is not in its range.
+    """
 
     generations: int = 20
     population: int = 64
@@ -27,9 +32,13 @@ class LinearRecipe:
     spread: float = 1.0  # standard deviation of a perturbation at the start, in units of the ball's radius
     floor: float = 0.1  # the least standard deviation, as a share of that at the start
 
-    def __post_init__(self):
-        if not 1 <= self.elites <= self.population:
-            raise ValueError(f"elites must be at least 1 and at most the population, not {self.elites}")
+    def __post_init__(self) -> None:
+        check_whole(1, generations=self.generations, population=self.population, episodes=self.episodes)
+        check_whole(1, elites=self.elites)
+        if self.elites > self.population:
+            raise ValueError(f"elites must be at most the population of {self.population}, not {self.elites}")
+        check_positive(spread=self.spread)
+        check_between(0, 1, floor=self.floor)
 
     def config(self, task: Task) -> dict:
         """The arguments of the ``Victim`` that the adversary is: one linear layer, after a normaliser."""

@@ -4,28 +4,41 @@ from collections.abc import Sequence
 
 from torch import Tensor
 
+from detden_lite.attacks.base import BallAttack
 from detden_lite.core.budget import Budget
 from detden_lite.core.random_streams import RandomStreams
+from detden_lite.core.types import World
 
 
-class UniformNoise:
-    """A uniformly random point of the ball."""
+class UniformNoise(BallAttack):
+    """A uniformly random point of the ball.
 
-    needs: frozenset[str] = frozenset()
+    Args:
+        budget: the ball.
+        seed: of the noise.
+    """
 
-    def __init__(self, budget: Budget, seed: int = 0):
-        self.budget, self.seed = budget, seed
+    def __init__(self, budget: Budget, seed: int = 0) -> None:
+        super().__init__(budget)
+        self.seed = seed
 
-    def reset(self, episodes: Sequence[int]) -> None:
+    def reset(self, episodes: Sequence[int] | None = None) -> None:
+        """Begin new episodes, one seed each; None for offline use on any number of rows."""
+        super().reset(episodes)
         self.streams = RandomStreams(self.seed, episodes)
 
-    def __call__(self, obs: Tensor, world=None) -> Tensor:
-        return self.budget.project(obs, self.budget.sample(obs, self.streams))
+    def __call__(self, obs: Tensor, world: World | None = None) -> Tensor:
+        """Perturbed observations ``[N, obs_dim]``."""
+        self.check(obs)
+        return self.budget.project(obs, self.noisy(obs))
+
+    def noisy(self, obs: Tensor) -> Tensor:
+        """The observations with noise, which may still be outside the ball."""
+        return self.budget.sample(obs, self.streams)
 
 
 class GaussianNoise(UniformNoise):
     """Gaussian noise of standard deviation epsilon (times scale), projected into the ball."""
 
-    def __call__(self, obs: Tensor, world=None) -> Tensor:
-        noise = self.streams.normal(*obs.shape) * self.budget.epsilon * self.budget.scale
-        return self.budget.project(obs, obs + noise)
+    def noisy(self, obs: Tensor) -> Tensor:
+        return obs + self.streams.normal(*obs.shape) * self.budget.epsilon * self.budget.scale

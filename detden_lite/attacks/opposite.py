@@ -6,6 +6,8 @@ import torch
 from torch import Tensor
 
 from detden_lite.attacks.gradient import GradientAttack
+from detden_lite.core.distances import mahalanobis
+from detden_lite.core.types import World
 from detden_lite.victims.action_gradients import ActionObjective
 from detden_lite.victims.victim import Victim
 
@@ -16,8 +18,8 @@ def action_distance(victim: Victim, action: Tensor) -> Callable[[Tensor], Tensor
     For a deterministic policy this is the squared Euclidean distance, which has the same maximiser as the paper's
     distance and a gradient everywhere. For a Gaussian one it is the squared Mahalanobis distance of the means.
     """
-    weight = 1.0 if victim.action_std is None else victim.action_std**-2
-    return lambda other: ((other - action).square() * weight).sum(-1)
+    precision = 1.0 if victim.action_std is None else victim.action_std**-2
+    return lambda other: mahalanobis(other, action, precision=precision)
 
 
 def opposite_objective(victim: Victim, obs: Tensor) -> Callable[[Tensor], Tensor]:
@@ -33,6 +35,6 @@ class OppositeAttack(GradientAttack):
     needs = frozenset({"policy"})
     clips = False
 
-    def objective(self, obs: Tensor, world=None) -> ActionObjective:
+    def objective(self, obs: Tensor, world: World | None = None) -> ActionObjective:
         """``opposite_objective``, with the policy's gradient by hand."""
         return ActionObjective(self.policy, action_distance(self.victim, self.policy.forward(obs).clone()))

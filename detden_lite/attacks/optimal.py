@@ -1,11 +1,13 @@
 """The optimal attack: perturbations by a policy that learned to harm the victim (section 3.2.1, equation 3)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
+from detden_lite.attacks.base import BallAttack
 from detden_lite.core.budget import Budget
+from detden_lite.core.types import World
 
 
 def perturb(budget: Budget, obs: Tensor, direction: Tensor) -> Tensor:
@@ -13,39 +15,37 @@ def perturb(budget: Budget, obs: Tensor, direction: Tensor) -> Tensor:
     return budget.project(obs, obs + budget.epsilon * budget.scale * direction)
 
 
-class OptimalAttack:
+class OptimalAttack(BallAttack):
     """The perturbation is the action of an adversarial policy, which sees the true observation.
 
-    During an episode it asks the victim nothing: what it knows of it was learned before, by acting on it in the
-    simulator and watching the reward. So it ``needs`` an adversary, and whoever has one had the policy as a black box
-    and the simulator.
+    During an episode it does not query the victim. The adversary has learned before, by acting on the victim in the
+    simulator and watching the reward: to it the policy was a black box. So the attack ``needs`` an adversary.
 
     Args:
         adversary: maps observations ``[N, obs_dim]`` to as many numbers in [-1, 1], in units of the ball's radius: a
-            ``Victim`` whose actions are perturbations. See ``detden_lite.adversaries``.
+            ``Victim`` whose actions are perturbations, see ``detden_lite.load_adversary``.
         budget: the ball.
+
+    Raises:
+        ValueError: if the adversary is a policy with another number of actions, or, at the first call, of another task.
     """
 
     needs = frozenset({"adversary"})
 
-    def __init__(self, adversary: Callable[[Tensor], Tensor], budget: Budget):
-        self.adversary, self.budget = adversary, budget
-
-    def reset(self, episodes: Sequence[int] | None = None) -> None:
-        pass
+    def __init__(self, adversary: Callable[[Tensor], Tensor], budget: Budget) -> None:
+        super().__init__(budget, getattr(adversary, "obs_dim", None), "adversary")
+        self.adversary = adversary
+        self._check_size(getattr(adversary, "action_dim", self.obs_dim), self.obs_dim)
 
     @torch.no_grad()
-    def __call__(self, obs: Tensor, world=None) -> Tensor:
-        """The perturbed observations ``[N, obs_dim]``.
-
-        Raises:
-            ValueError: if the adversary is of another task.
-        """
-        seen = getattr(self.adversary, "obs_dim", obs.shape[-1])
-        direction = self.adversary(obs) if seen == obs.shape[-1] else None
-        if direction is None or direction.shape != obs.shape:
-            raise ValueError(
-                f"adversary: it does not map {obs.shape[-1]} observations to as many perturbations; "
-                "give the adversary of this task"
-            )
+    def __call__(self, obs: Tensor, world: World | None = None) -> Tensor:
+        """The perturbed observations ``[N, obs_dim]``."""
+        self.check(obs)
+        direction = self.adversary(obs)
+        self._check_size(direction.shape[-1], obs.shape[1])
         return perturb(self.budget, obs, direction)
+
+    @staticmethod
+    def _check_size(found: int | None, right: int | None) -> None:
+        if found != right:
+            raise ValueError(f"adversary: it perturbs {found} numbers of {right}; give the adversary of this task")

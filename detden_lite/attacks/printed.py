@@ -1,6 +1,7 @@
 """The adaptive attacks as the paper prints them, in section 4.4 and in appendix B, which contradict each other."""
 
 from collections.abc import Callable
+from math import isfinite
 
 import torch
 from torch import Tensor
@@ -8,9 +9,10 @@ from torch import Tensor
 from detden_lite.attacks.catalogue import FORMS
 from detden_lite.attacks.enchanting import EnchantingAttack
 from detden_lite.attacks.gradient import GradientAttack
-from detden_lite.attacks.informed import InformedAttack, View, view_defense
+from detden_lite.attacks.informed import InformedAttack, View, Views, view_defense
 from detden_lite.attacks.opposite import OppositeAttack
 from detden_lite.core.random_streams import RandomStreams
+from detden_lite.core.types import World
 from detden_lite.defense.detector import linf_score
 
 
@@ -18,7 +20,7 @@ class PrintedAttack(InformedAttack):
     """An attack on pi(den(.)) in place of pi, with the detector's l_det in the objective.
 
     Three things are wrong with it. Where the detector is deceived the action is pi(o_hat) and not pi(den(o_hat)). The
-    appendix's l_det is not the detector's score; to raise it rings the alarm, unless det(o) is far from o already. And
+    appendix's l_det is not the detector's score; to raise it raises the alarm, unless det(o) is far from o already. And
     every gradient is of one sample of the latents' noise: here a new one at each evaluation, as for anyone who calls
     the networks in the attack's loop.
 
@@ -33,25 +35,25 @@ class PrintedAttack(InformedAttack):
         view: see ``InformedAttack``.
 
     Raises:
-        ValueError: for another form.
+        ValueError: for another form, or a weight that is not finite.
     """
 
     def __init__(
         self, attack: GradientAttack, form: str = "text", weight: float = 1.0, seed: int = 0,
         view: Callable[..., View] = view_defense,
-    ):  # fmt: skip
+    ) -> None:  # fmt: skip
         if form not in FORMS:
             raise ValueError(f"form must be one of {', '.join(FORMS)}, not {form!r}")
+        if not isfinite(weight):
+            raise ValueError(f"weight must be a finite number, not {weight}")
         super().__init__(attack, seed, view)
         self.form, self.weight = form, weight
 
     @property
-    def settings(self) -> dict:
+    def settings(self) -> dict[str, float | str]:
         return dict(form=self.form, weight=self.weight)
 
-    def perturb(
-        self, obs: Tensor, wanted: Tensor, world, views: Callable[[int], View], streams: RandomStreams
-    ) -> Tensor:
+    def perturb(self, obs: Tensor, wanted: Tensor, world: World, views: Views, streams: RandomStreams) -> Tensor:
         true = obs[wanted]
         opposite = isinstance(self.attack, OppositeAttack)
         damage = self.attack.objective(views(1).denoise(true)[0] if opposite else true, world).of_action

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from torch import Tensor
 
 from detden_lite.attacks.gradient import GradientAttack
+from detden_lite.core.types import World
 from detden_lite.victims.action_gradients import ActionObjective
 from detden_lite.victims.victim import Victim
 
@@ -36,6 +37,6 @@ class QFunctionAttack(GradientAttack):
 
     needs = frozenset({"policy", "critic"})
 
-    def objective(self, obs: Tensor, world=None) -> ActionObjective:
+    def objective(self, obs: Tensor, world: World | None = None) -> ActionObjective:
         """``q_objective``, with the policy's gradient by hand."""
         return ActionObjective(self.policy, badness(self.victim, obs))

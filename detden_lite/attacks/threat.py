@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import inf, isnan
 
-import numpy as np
-
+from detden_lite.attacks.base import check_kind
 from detden_lite.attacks.catalogue import CATALOGUE, TIMINGS
 from detden_lite.attacks.timing import Always, Random, Vulnerable
+from detden_lite.core.arguments import check_between, check_whole
 from detden_lite.core.budget import Budget
 from detden_lite.core.tasks import Task
 from detden_lite.core.types import Attack, Timing
@@ -15,16 +16,27 @@ from detden_lite.victims.victim import Victim
 
 @dataclass(frozen=True)
 class Threat:
-    """The attacker's settings that all cells of a victim share."""
+    """The attacker's settings that all cells of a victim share.
+
+    Raises:
+        ValueError: if one of them is not in its range.
+    """
 
     budget: Budget
     steps: int = 20
     restarts: int = 1
-    c_vul: float = -np.inf  # threshold of the vulnerable timing
+    c_vul: float = -inf  # threshold of the vulnerable timing
     rate: float = 1.0  # of the random timing
     planner: Mapping[str, int] = field(default_factory=dict)  # arguments of ``CEMPlanner``
     adversaries: Mapping[str, Victim] = field(default_factory=dict)  # "optimal", "linear": ``models.load_adversary``
     adaptive: Mapping[str, int] = field(default_factory=dict)  # arguments of ``AdaptiveAttack``, for its variants too
+
+    def __post_init__(self) -> None:
+        check_kind(Budget, budget=self.budget)
+        check_whole(1, steps=self.steps, restarts=self.restarts)
+        check_between(0, 1, rate=self.rate)
+        if isnan(self.c_vul):
+            raise ValueError("c_vul must be a number, not nan")
 
     def attack(self, name: str, victim: Victim, task: Task) -> Attack | None:
         """The attack of this name, or None for "none"; a ValueError that lists the names otherwise."""
@@ -36,11 +48,8 @@ class Threat:
 
     def timing(self, name: str, victim: Victim) -> Timing:
         """The timing of this name."""
-        match name:
-            case "always":
-                return Always()
-            case "vulnerable":
-                return Vulnerable(victim, self.c_vul)
-            case "random":
-                return Random(self.rate)
-        raise ValueError(f"timing must be one of {', '.join(TIMINGS)}, not {name!r}")
+        if name not in TIMINGS:
+            raise ValueError(f"timing must be one of {', '.join(TIMINGS)}, not {name!r}")
+        if name == "always":
+            return Always()
+        return Random(self.rate) if name == "random" else Vulnerable(victim, self.c_vul)

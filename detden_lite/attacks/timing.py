@@ -1,10 +1,13 @@
 """When to attack: the vulnerability indicator 1_vul and its controls (section 3.2.2)."""
 
 from collections.abc import Sequence
+from math import isnan
+from numbers import Real
 
 import torch
 from torch import Tensor
 
+from detden_lite.core.arguments import check_between, check_whole
 from detden_lite.core.random_streams import RandomStreams
 from detden_lite.victims.victim import Victim
 
@@ -25,10 +28,15 @@ class Vulnerable:
     Args:
         victim: whose value function is asked.
         threshold: C_vul, in units of discounted return.
+
+    Raises:
+        ValueError: if the threshold is no number.
     """
 
-    def __init__(self, victim: Victim, threshold: float):
-        self.victim, self.threshold = victim, threshold
+    def __init__(self, victim: Victim, threshold: float) -> None:
+        if not isinstance(threshold, Real) or isnan(threshold):
+            raise ValueError(f"threshold must be a number, not {threshold!r}")
+        self.victim, self.threshold = victim, float(threshold)
 
     def reset(self, episodes: Sequence[int]) -> None:
         pass
@@ -38,11 +46,10 @@ class Vulnerable:
 
 
 class After:
-    """Attack at every step from ``step`` on: for who wants to see a robot attacked that is on its way already."""
+    """Attack at every step from ``step`` on: to attack a robot that is already walking."""
 
-    def __init__(self, step: int):
-        if step < 0:
-            raise ValueError(f"step must be at least 0, not {step}")
+    def __init__(self, step: int) -> None:
+        check_whole(0, step=step)
         self.step = step
 
     def reset(self, episodes: Sequence[int]) -> None:
@@ -55,11 +62,10 @@ class After:
 
 
 class Random:
-    """Attack at random steps, a fraction ``rate`` of them: what a timing must beat at the same rate."""
+    """Attack at random steps, a fraction ``rate`` of them: the control that a timing must beat at the same rate."""
 
-    def __init__(self, rate: float, seed: int = 0):
-        if not 0 <= rate <= 1:
-            raise ValueError(f"rate must be between 0 and 1, not {rate}")
+    def __init__(self, rate: float, seed: int = 0) -> None:
+        check_between(0, 1, rate=rate)
         self.rate, self.seed = rate, seed
 
     def reset(self, episodes: Sequence[int]) -> None:

@@ -387,10 +387,10 @@ def test_episodes_are_attacked_in_lockstep(kind):
 def test_numbers_that_make_no_attack_are_refused():
     plain = OppositeAttack(make_victim(), Budget(0.1, 2))
     for kind, wrong, message in (
-        (AdaptiveAttack, dict(samples=0), "samples must be above 0, not 0"),
-        (GradientFreeAttack, dict(elites=1), "elites must be at least 2"),
+        (AdaptiveAttack, dict(samples=0), "samples must be a whole number of at least 1, not 0"),
+        (GradientFreeAttack, dict(elites=1), "elites must be a whole number of at least 2"),
         (CoupledAttack, dict(), "budget: a coupled attack needs the norm inf, not 2"),
-        (CoupledAttack, dict(pace=-0.1), "pace must be above 0"),
+        (CoupledAttack, dict(pace=-0.1), "pace must be a finite number above 0"),
         (PrintedAttack, dict(form="book"), "form must be one of text, appendix, not 'book'"),
     ):
         with pytest.raises(ValueError, match=message):
