@@ -9,15 +9,15 @@ from pathlib import Path
 from detden_lite import __version__
 from detden_lite.core.files import ArtifactError
 from detden_lite.core.tasks import ALGORITHMS, SCALES, TASK_NAMES
-from detden_lite.recipe.stage_list import GROUPS, STAGES
+from detden_lite.recipe.stage_list import GROUPS, STAGES, Option
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """The parser of the command line: a subcommand for each stage."""
     top = argparse.ArgumentParser(
         prog="detden",
         description="Train, attack and defend a victim, stage by stage. A stage makes what is missing: after an "
-        "interruption, run it again and it goes on.",
+        "interruption, run it again to resume it.",
         epilog=_listing(),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -37,9 +37,31 @@ def parser() -> argparse.ArgumentParser:
         added = stages.add_parser(
             stage.name, parents=(victim, where) if stage.row else (where,), description=stage.text
         )
-        for option, settings in stage.options.items():
-            added.add_argument(option, **settings)
+        for option in stage.options:
+            _add(added, option)
     return top
+
+
+def _add(stage: argparse.ArgumentParser, option: Option) -> None:
+    text = "; ".join([*filter(None, [option.text]), "default: %(default)s"])
+    match option.default:
+        case bool():
+            stage.add_argument(option.flag, action="store_true", help=option.text)
+        case int():
+            stage.add_argument(option.flag, type=_count, default=option.default, help=text, metavar="N")
+        case str():
+            stage.add_argument(option.flag, choices=option.choices, default=option.default, help=text)
+        case tuple():
+            text = f"{option.text}, one or more of: {', '.join(option.choices)}; default: {' '.join(option.default)}"
+            stage.add_argument(
+                option.flag, choices=option.choices, default=option.default, nargs="+", help=text, metavar="NAME"
+            )
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number of at least 0")
+    return int(text)
 
 
 def _listing() -> str:
@@ -55,7 +77,11 @@ def _listing() -> str:
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Run one stage; what it refuses, or the disk does, becomes one line on stderr and the exit status 1."""
+    """Run one stage.
+
+    An error of a stage or of the disk becomes one line on stderr and the exit status 1; an unknown stage or option
+    exits with 2 and lists the choices.
+    """
     args = parser().parse_args(argv)
     try:
         run_stage(args)

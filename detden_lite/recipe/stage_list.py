@@ -1,6 +1,8 @@
 """The list of the recipe's stages: what the command line offers, and which rules of data/Snakefile run each of them.
 
-Reading it loads neither torch nor MuJoCo; ``detden_lite.recipe.cli`` imports a stage's module when it runs the stage.
+A new stage is a function of its own, one entry here, and a rule of the Snakefile that runs it. The command line, the
+tool that measures durations and the book's page on the recipe read this list. Reading it loads neither torch nor
+MuJoCo; ``detden_lite.recipe.cli`` imports a stage's module when it runs the stage.
 """
 
 from collections.abc import Mapping
@@ -20,6 +22,23 @@ GROUPS = dict(
 
 
 @dataclass(frozen=True)
+class Option:
+    """One option of a stage: an argument of its function.
+
+    Args:
+        flag: on the command line.
+        default: a bool for a switch, an int for a whole number, a name, or a tuple of names for several.
+        choices: of names.
+        text: what it is, if its flag does not say so.
+    """
+
+    flag: str
+    default: bool | int | str | tuple[str, ...]
+    choices: tuple[str, ...] = ()
+    text: str = ""
+
+
+@dataclass(frozen=True)
 class Stage:
     """One stage.
 
@@ -28,140 +47,155 @@ class Stage:
         group: a key of ``GROUPS``.
         text: what it does.
         function: "module:function", in ``detden_lite``.
-        rules: of the Snakefile that run it.
-        options: of the command line, beside those that all have: name and the arguments of ``add_argument``.
+        rules: of the Snakefile that run it, each with the victims that it runs for: a setting in data/config.
+        options: of the command line, beside those that all stages have.
+        keeps: what it stores on its way, so that a killed run resumes from there.
         row: whether it is of one victim; otherwise of the whole run.
+
+    Example:
+        >>> from detden_lite.recipe.stage_list import STAGES
+        >>> STAGES["adversary"].text
+        'train a member of the grid of adversaries'
+        >>> dict(STAGES["adversary"].rules)
+        {'adversary': 'rows', 'adversary_defended': 'adapted'}
     """
 
     name: str
     group: str
     text: str
     function: str
-    rules: tuple[str, ...] = ()
-    options: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
+    rules: Mapping[str, str] = field(default_factory=dict)
+    options: tuple[Option, ...] = ()
+    keeps: str = ""
     row: bool = True
 
 
-_SEED = {"--seed": dict(type=int, default=0, help="default: %(default)s")}
-_DATA = {
-    "--data": dict(choices=list(DATASETS), default="diverse", help="exploration in D_normal; default: %(default)s")
-}
-_VARIANT = {"--variant": dict(choices=list(VARIANTS), default=MAIN, help="default: %(default)s")}
-_DEFENDED = {"--defended": dict(action="store_true", help="the victim has its main defence")}
-_MEMBER = {"--member": dict(type=int, default=0, help="its place in the grid; default: %(default)s")}
+_SEED = Option("--seed", 0)
+_DATA = Option("--data", "diverse", tuple(DATASETS), "exploration in D_normal")
+_VARIANT = Option("--variant", MAIN, tuple(VARIANTS))
+_DEFENDED = Option("--defended", False, text="the victim has its main defence")
+_SNAPSHOTS = "a snapshot every segment, a checkpoint every ten minutes"
+_EPOCHS = "a checkpoint every epoch"
+_SHARDS = "files of 128 episodes"
+_RECORDS = "each record"
 
 _STAGES = (
-    Stage("victim", "victim", "train one seed of the victim", "recipe.victim_stages:train_victim", ("victim",), _SEED),
+    Stage(
+        "victim", "victim", "train one seed of the victim", "recipe.victim_stages:train_victim",
+        dict(victim="rows"), (_SEED,), _SNAPSHOTS,
+    ),
     Stage(
         "select", "victim", "choose the best snapshot of all seeds, and evaluate it",
-        "recipe.victim_stages:select_victim", ("select",),
+        "recipe.victim_stages:select_victim", dict(select="rows"),
     ),
     Stage(
         "qfunction", "victim", "learn the Q-function that a PPO victim lacks", "recipe.victim_stages:learn_q",
-        ("qfunction",),
+        dict(qfunction="rows"),
     ),
-    Stage("timing", "attack", "tune when the attacker strikes", "recipe.vulnerability:tune_timing", ("timing",)),
+    Stage(
+        "timing", "attack", "tune C_vul, the threshold of the vulnerable timing", "recipe.vulnerability:tune_timing",
+        dict(timing="rows"),
+    ),
     Stage(
         "adversary", "attack", "train a member of the grid of adversaries", "recipe.adversary_stages:train_member",
-        ("adversary", "adversary_defended"), _MEMBER | _DEFENDED,
+        dict(adversary="rows", adversary_defended="adapted"),
+        (Option("--member", 0, text="its place in the grid"), _DEFENDED), _SNAPSHOTS,
     ),
     Stage(
-        "choose", "attack", "choose the adversary that leaves the victim the least", "recipe.adversary_stages:choose",
-        ("choose", "choose_defended"), _DEFENDED,
+        "choose", "attack", "choose the adversary that leaves the victim the smallest return",
+        "recipe.adversary_stages:choose", dict(choose="rows", choose_defended="adapted"), (_DEFENDED,),
     ),
     Stage(
-        "linear", "attack", "search for a linear adversary", "recipe.adversary_stages:search_linear", ("linear",)
+        "linear", "attack", "search for a linear adversary by the cross-entropy method",
+        "recipe.adversary_stages:search_linear", dict(linear="rows"), keeps="every generation",
     ),
     Stage(
         "collect", "defense", "collect D_normal, and held-out episodes for calibration",
-        "recipe.defense_stages:collect", ("trajectories",), _DATA,
+        "recipe.defense_stages:collect", dict(trajectories="rows"), (_DATA,), _SHARDS,
     ),
     Stage(
         "augment", "defense", "make D_adv from D_normal, offline, with both attacks", "recipe.defense_stages:augment",
-        ("augmentation",), _DATA,
+        dict(augmentation="rows"), (_DATA,), _SHARDS,
     ),
     Stage(
         "detector", "defense", "train the detector and calibrate its threshold", "recipe.defense_stages:train_detector",
-        ("detector",), _DATA,
+        dict(detector="rows"), (_DATA,), _EPOCHS,
     ),
     Stage(
-        "denoiser", "defense", "train a denoiser", "recipe.defense_stages:train_denoiser", ("denoiser",), _VARIANT
+        "denoiser", "defense", "train a denoiser", "recipe.defense_stages:train_denoiser", dict(denoiser="rows"),
+        (_VARIANT,), _EPOCHS,
     ),
     Stage(
-        "baselines", "defense", "fit what the GRU-VAEs have to beat", "recipe.ablations:fit_baselines", ("baselines",)
+        "baselines", "defense", "fit the linear models and train the auto-encoder that the GRU-VAEs are compared with",
+        "recipe.ablations:fit_baselines", dict(baselines="studied"),
     ),
     Stage(
         "threshold", "defense", "tune C_anomaly as the paper does, on attacked episodes",
-        "recipe.ablations:tune_threshold", ("threshold",),
+        "recipe.ablations:tune_threshold", dict(threshold="studied"),
     ),
     Stage(
         "defend", "defense", "defend the victim in one call, and evaluate it with the defence and without",
-        "recipe.defend:defend_victim", ("defend",),
+        "recipe.defend:defend_victim", dict(defend="own"), keeps="what the stages that it consists of keep",
     ),
     Stage(
-        "evaluate", "measure", "run every cell of the tables", "recipe.evaluation:evaluate", ("attacks", "evaluation"),
-        {
-            "--defenses": dict(
-                nargs="+", choices=["none", *VARIANTS, *ASSEMBLED], default=["none", MAIN],
-                help="none is the bare victim; default: %(default)s",
+        "evaluate", "measure", "run every cell of the tables: of the bare victim, or with its defences",
+        "recipe.evaluation:evaluate", dict(attacks="rows", evaluation="rows"),
+        (
+            Option(
+                "--defenses", ("none", MAIN), ("none", *VARIANTS, *ASSEMBLED), "the defences, none for the bare victim"
             ),
-            "--attacks": dict(
-                nargs="+", choices=["none", *ATTACKS], default=["none", *ATTACKS], help="default: all of them"
-            ),
-        },
+            Option("--attacks", ("none", *ATTACKS), ("none", *ATTACKS), "the attacks"),
+        ),
+        _RECORDS,
     ),
     Stage(
         "ablate", "measure", "run the cells of ablations, baselines and ceilings", "recipe.evaluation:ablate",
-        ("ablation",),
+        dict(ablation="studied"), keeps=_RECORDS,
     ),
     Stage(
         "explain", "measure", "run the cells that tell which part of the main defence falls short",
-        "recipe.evaluation:explain", ("ceilings",),
+        "recipe.evaluation:explain", dict(ceilings="explained"), keeps=_RECORDS,
     ),
     Stage(
         "adapt", "measure", "run the cells of the attacks that know the defence", "recipe.evaluation:adapt",
-        ("adaptive",),
-        {"--defenses": dict(nargs="+", choices=list(VARIANTS), default=[MAIN], help="default: %(default)s")},
+        dict(adaptive="adapted"), (Option("--defenses", (MAIN,), tuple(VARIANTS), "the defences"),), _RECORDS,
     ),
-    Stage("epsilon", "measure", "attack at several sizes of the ball", "recipe.sweeps:epsilon", ("epsilon",)),
+    Stage(
+        "epsilon", "measure", "attack at several sizes of the ball", "recipe.sweeps:epsilon", dict(epsilon="studied")
+    ),
     Stage(
         "planning", "measure", "run the enchanting attack with several planners", "recipe.sweeps:planning",
-        ("planning",),
+        dict(planning="studied"),
     ),
     Stage(
-        "barrier", "measure", "measure what the noise of the latents costs an attacker",
-        "recipe.latent_noise:measure_latent_noise", ("barrier",),
-        {
-            "--variants": dict(
-                nargs="+", choices=list(VARIANTS), default=[MAIN, "standard-prior"],
-                help="the defences to measure; default: %(default)s",
-            )
-        },
+        "barrier", "measure", "measure what the noise of the latents costs an attacker who knows the defence",
+        "recipe.latent_noise:measure_latent_noise", dict(barrier="studied"),
+        (Option("--variants", (MAIN, "standard-prior"), tuple(VARIANTS), "the defences to measure"),),
     ),
     Stage(
         "curve", "measure", "measure both sides of the appendix's bound along a denoiser's training",
-        "recipe.bound_along_training:measure_along_training", ("curve",),
-        {"--variant": dict(choices=list(VARIANTS), default="residual", help="default: %(default)s")},
+        "recipe.bound_along_training:measure_along_training", dict(curve="studied"),
+        (Option("--variant", "residual", tuple(VARIANTS)),), "a checkpoint and a measurement every epoch",
     ),
     Stage(
-        "look", "look", "record and film an episode, attacked and not", "recipe.gallery:film_opposite", ("look",),
-        _VARIANT,
+        "look", "look", "record and film an episode clean, attacked and defended", "recipe.gallery:film_opposite",
+        dict(look="rows"), (_VARIANT,),
     ),
-    Stage("portrait", "look", "film a clean episode of the victim", "recipe.gallery:film_portrait", ("portrait",)),
+    Stage(
+        "portrait", "look", "film a clean episode of the victim", "recipe.gallery:film_portrait", dict(portrait="rows")
+    ),
     Stage(
         "gallery", "look", "film and record an episode under each attack", "recipe.gallery:film_attacks",
-        ("gallery",),
-        {"--attacks": dict(nargs="+", choices=list(ATTACKS), default=list(FOUR), help="default: %(default)s")}
-        | _VARIANT,
+        dict(gallery="studied"), (Option("--attacks", FOUR, ATTACKS, "the attacks"), _VARIANT),
     ),
     Stage(
         "slip", "look", "record an episode under an attack that raises no alarm", "recipe.gallery:film_stealthy",
-        ("slip",),
+        dict(slip="studied"),
     ),
-    Stage("publish", "ship", "copy what is shipped into data/", "recipe.publish:publish", ("publish",)),
+    Stage("publish", "ship", "copy what is shipped into data/", "recipe.publish:publish", dict(publish="rows")),
     Stage(
-        "table", "ship", "gather the records of all victims in one table", "results.table:write_table", ("table",),
-        row=False,
+        "table", "ship", "gather the records of all victims in tables/returns.csv", "results.table:write_table",
+        dict(table="rows"), row=False,
     ),
 )  # fmt: skip
 STAGES = {stage.name: stage for stage in _STAGES}

@@ -19,6 +19,7 @@ from detden_lite.core.tasks import ALGORITHMS, SCALES, TASKS
 from detden_lite.defense import variants
 from detden_lite.defense.variants import MAIN, VARIANTS
 from detden_lite.recipe.scales import get_scale
+from detden_lite.recipe.stage_list import STAGES
 from detden_lite.results import cells
 from detden_lite.store import models
 
@@ -92,6 +93,20 @@ def test_every_scale_plans_the_whole_graph_for_all_ten_rows(tmp_path, scale):
     named = re.findall(r"detden_lite victim --task (\w+) --algo (\w+) .*--seed (\d)", printed)
     expected = [(*row.split("-"), "0") for row in (*ROWS, "swimmer-ppo")] + [("hopper", "td3", s) for s in "12"]
     assert sorted(named) == sorted(expected)
+
+
+def test_each_rule_runs_its_stage_for_the_victims_that_the_list_names(tmp_path):
+    config = yaml.safe_load((DATA / "config" / "tiny.yaml").read_text())
+    printed = run(tmp_path, "--dry-run", "--printshellcmds")
+    for stage in STAGES.values():
+        for rule, setting in stage.rules.items():
+            blocks = re.findall(rf"^(?:local)?rule {rule}:\n((?:    .*\n|\n)*?.*detden_lite .*)", printed, re.M)
+            assert all(f"detden_lite {stage.name} " in block for block in blocks), rule
+            ran = {"-".join(row) for block in blocks for row in re.findall(r"--task (\w+) --algo (\w+)", block)}
+            named = set(config[setting]) | (set(config["own"]) if rule in ("victim", "select") else set())
+            if rule == "qfunction":  # a TD3 victim has critics of its own
+                named = {row for row in named if row.endswith("ppo")}
+            assert ran == (named if stage.row and rule != "publish" else set()), rule
 
 
 # The plug-ins of the clusters are not installed here, so that the executor is that of dry runs; Kubernetes' storage is

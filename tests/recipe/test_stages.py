@@ -465,7 +465,7 @@ def test_a_stage_runs_a_function_that_takes_its_options(stage):
     module, name = stage.function.split(":")
     parameters = inspect.signature(getattr(import_module(f"detden_lite.{module}"), name)).parameters
     assert list(parameters)[0] == ("run" if stage.row else "root")
-    assert {option.removeprefix("--") for option in stage.options} <= set(parameters)
+    assert {option.flag.removeprefix("--") for option in stage.options} <= set(parameters)
 
 
 @pytest.mark.parametrize(
@@ -478,7 +478,8 @@ def test_a_stage_runs_a_function_that_takes_its_options(stage):
         (["select", "--scale", "huge"], list(SCALES)),
         (["denoiser", "--variant", "prayer"], list(variants.VARIANTS)),
         (["evaluate", "--attacks", "prayer"], list(ATTACKS)),
-        (["victim", "--seed", "1.5"], ["--seed"]),
+        (["victim", "--seed", "1.5"], ["--seed", "'1.5' is no whole number of at least 0"]),
+        (["adversary", "--member", "-1"], ["--member", "'-1' is no whole number of at least 0"]),
         (["select", "--seed", "1"], ["--seed"]),
     ],
 )
