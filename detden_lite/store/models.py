@@ -2,27 +2,44 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any, TypeVar
 
-import torch
+from torch import Tensor
 
 from detden_lite.core.files import ArtifactError
 from detden_lite.defense.denoiser import Denoiser
 from detden_lite.defense.detector import Detector
 from detden_lite.defense.gruvae import GRUVAE
 from detden_lite.defense.pipeline import DetectAndDenoise
-from detden_lite.store.manifest import DATA, versions
+from detden_lite.store.manifest import DATA, promised, versions, where_else
 from detden_lite.store.tensors import load_tensors, save_tensors
 from detden_lite.victims.victim import Victim
 
+M = TypeVar("M")
 
-def save_victim(task: str, algo: str, victim: Victim, sidecar: Mapping, root: Path = DATA) -> None:
+
+def save_victim(task: str, algo: str, victim: Victim, sidecar: Mapping[str, Any], root: Path = DATA) -> None:
     """Ship a victim as ``<task>-<algo>/victim``."""
     sidecar = dict(sidecar, config=victim.config, versions=versions())
     save_tensors(root / f"{task}-{algo}" / "victim.safetensors", victim.state_dict(), sidecar, root)
 
 
 def load_victim(task: str, algo: str, root: Path = DATA) -> Victim:
-    """The shipped victim of a task ("hopper") and an algorithm ("td3"), with its learned Q-function if it has one."""
+    """A shipped victim, with its learned Q-function if it has one.
+
+    Args:
+        task: "hopper".
+        algo: "td3".
+        root: as data/ is laid out.
+
+    Raises:
+        ArtifactError: if there is no such victim, and the error lists those that there are; or if it is damaged.
+
+    Example:
+        >>> victim = load_victim("hopper", "td3")
+        >>> victim.obs_dim, victim.action_dim
+        (11, 3)
+    """
     folder = root / f"{task}-{algo}"
     victim, _ = _build(
         lambda card, state: Victim.from_state(card["config"], state), folder / "victim.safetensors", root
@@ -36,14 +53,29 @@ def load_victim(task: str, algo: str, root: Path = DATA) -> Victim:
     return with_critic
 
 
-def save_model(task: str, algo: str, name: str, model: GRUVAE, sidecar: Mapping, root: Path = DATA) -> None:
+def save_model(task: str, algo: str, name: str, model: GRUVAE, sidecar: Mapping[str, Any], root: Path = DATA) -> None:
     """Ship a GRU-VAE as ``<task>-<algo>/<name>``."""
     sidecar = dict(sidecar, config=model.config, versions=versions())
     save_tensors(root / f"{task}-{algo}" / f"{name}.safetensors", model.state_dict(), sidecar, root)
 
 
-def load_model(task: str, algo: str, name: str, root: Path = DATA) -> tuple[GRUVAE, dict]:
-    """A shipped GRU-VAE ("detector-diverse", "denoiser-residual") and its sidecar."""
+def load_model(task: str, algo: str, name: str, root: Path = DATA) -> tuple[GRUVAE, dict[str, Any]]:
+    """A shipped GRU-VAE and its sidecar.
+
+    Args:
+        task: of its victim ("hopper").
+        algo: that victim's algorithm ("td3").
+        name: "detector-diverse", "denoiser-mixed".
+        root: as data/ is laid out.
+
+    Raises:
+        ArtifactError: if there is no such model, and the error lists those that there are; or if it is damaged.
+
+    Example:
+        >>> model, sidecar = load_model("hopper", "td3", "denoiser-mixed")
+        >>> model.obs_dim, sidecar["data"]
+        (11, 'diverse')
+    """
     return _build(
         lambda card, state: GRUVAE.from_state(card["config"], state),
         root / f"{task}-{algo}" / f"{name}.safetensors", root,
@@ -51,10 +83,36 @@ def load_model(task: str, algo: str, name: str, root: Path = DATA) -> tuple[GRUV
 
 
 def load_defense(task: str, algo: str, variant: str = "mixed", root: Path = DATA) -> DetectAndDenoise:
-    """A shipped defence of a victim: a variant's denoiser with the detector of the same data and its threshold."""
+    """A shipped defence of a victim: a variant's denoiser with the detector of the same data and its threshold.
+
+    Args:
+        task: of the victim ("hopper").
+        algo: the victim's algorithm ("td3").
+        variant: a key of ``detden_lite.defense.variants.VARIANTS``.
+        root: as data/ is laid out.
+
+    Raises:
+        ArtifactError: if there is no such defence, and the error lists those that there are; or if it is damaged.
+
+    Example:
+        >>> import torch
+        >>> defense = load_defense("hopper", "td3")
+        >>> defense.reset([0])
+        >>> bool(defense(torch.full((1, 11), 9.0)).alarm)
+        True
+    """
     denoiser, sidecar = load_model(task, algo, f"denoiser-{variant}", root)
-    detector, calibration = load_model(task, algo, f"detector-{sidecar['data']}", root)
-    return DetectAndDenoise(Detector(detector, calibration["threshold"]), Denoiser(denoiser))
+    if not isinstance(data := sidecar.get("data"), str):
+        raise _wrong_card(task, algo, f"denoiser-{variant}", f"data is {data!r} instead of the name of a dataset", root)
+    detector, calibration = load_model(task, algo, f"detector-{data}", root)
+    threshold = calibration.get("threshold")
+    if isinstance(threshold, bool) or not isinstance(threshold, int | float) or not abs(threshold) < float("inf"):
+        raise _wrong_card(task, algo, f"detector-{data}", f"threshold is {threshold!r:.40} instead of a number", root)
+    return DetectAndDenoise(Detector(detector, threshold), Denoiser(denoiser))
+
+
+def _wrong_card(task: str, algo: str, name: str, problem: str, root: Path) -> ArtifactError:
+    return ArtifactError(f"{root / f'{task}-{algo}' / name}.json is damaged: {problem}; make the model anew")
 
 
 # By kind: learned by reinforcement on the bare victim, a linear map, and learned on the victim with its defence.
@@ -68,7 +126,9 @@ def adversary_path(task: str, algo: str, kind: str, root: Path = DATA) -> Path:
     return root / f"{task}-{algo}" / f"{ADVERSARIES[kind]}.safetensors"
 
 
-def save_adversary(task: str, algo: str, kind: str, adversary: Victim, sidecar: Mapping, root: Path = DATA) -> None:
+def save_adversary(
+    task: str, algo: str, kind: str, adversary: Victim, sidecar: Mapping[str, Any], root: Path = DATA
+) -> None:
     """Ship an adversary of a victim; see ``adversary_path`` for the kinds."""
     sidecar = dict(sidecar, config=adversary.config, versions=versions())
     save_tensors(adversary_path(task, algo, kind, root), adversary.state_dict(), sidecar, root)
@@ -82,21 +142,45 @@ def load_adversary(task: str, algo: str, kind: str = "optimal", root: Path = DAT
         algo: that victim's algorithm ("td3").
         kind: a key of ``ADVERSARIES``.
         root: as data/ is laid out.
+
+    Raises:
+        ArtifactError: if it is missing or damaged.
+        ValueError: if the kind is unknown.
+
+    Example:
+        >>> adversary = load_adversary("hopper", "td3")
+        >>> adversary.obs_dim, adversary.action_dim
+        (11, 11)
     """
     adversary, _ = _build(_adversary, adversary_path(task, algo, kind, root), root)
     return adversary
 
 
-def _adversary(card: dict, state: dict) -> Victim:
+def _adversary(card: Mapping[str, Any], state: Mapping[str, Tensor]) -> Victim:
     adversary = Victim.from_state(card["config"], state)
     if adversary.obs_dim != adversary.action_dim:
         raise ValueError(f"it maps {adversary.obs_dim} observations to {adversary.action_dim} perturbations")
     return adversary
 
 
-def _build(make: Callable[[dict, dict], torch.nn.Module], path: Path, root: Path) -> tuple[torch.nn.Module, dict]:
+def _build(make: Callable[[dict[str, Any], dict[str, Tensor]], M], path: Path, root: Path) -> tuple[M, dict[str, Any]]:
+    if promised(path, root) is None and not path.exists():
+        raise _unknown(path, root)
     state, sidecar = load_tensors(path, root)
     try:
         return make(sidecar, state), sidecar
-    except (KeyError, RuntimeError, TypeError, ValueError) as error:
-        raise ArtifactError(f"{path} does not fit its sidecar ({error}); make both anew with their recipe") from None
+    except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        problem = " ".join(f"{type(error).__name__}: {error}".split())  # torch's have several lines
+        raise ArtifactError(f"{path} does not fit its sidecar ({problem}); make both anew with their recipe") from None
+
+
+def _unknown(path: Path, root: Path) -> ArtifactError:
+    """The error for a model that was never there: it lists the models that are."""
+    if not path.parent.is_dir():
+        known = sorted(victim.parent.name for victim in root.glob("*/victim.safetensors"))
+    else:
+        known = sorted(model.stem for model in path.parent.glob("*.safetensors"))
+        kind = path.stem.partition("-")[0] + "-"
+        known = [name for name in known if name.startswith(kind)] or known
+    there = f"there are: {', '.join(known)}" if known else None
+    return ArtifactError("; ".join(filter(None, (f"{path} is missing", there, where_else(root)))))

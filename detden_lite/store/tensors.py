@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from safetensors import SafetensorError
 from safetensors.torch import load, save
@@ -17,17 +18,22 @@ def digest(state: Mapping[str, Tensor]) -> str:
     return hashlib.sha256(_bytes(state)).hexdigest()
 
 
-def save_tensors(path: Path, state: Mapping[str, Tensor], sidecar: Mapping, root: Path = DATA) -> None:
+def save_tensors(path: Path, state: Mapping[str, Tensor], sidecar: Mapping[str, Any], root: Path = DATA) -> None:
     """Write ``path`` (.safetensors) and beside it ``sidecar`` as JSON, both in the manifest."""
     path = Path(path)
     write_together({path: _bytes(state), path.with_suffix(".json"): to_json(sidecar)}, root)
 
 
-def load_tensors(path: Path, root: Path = DATA) -> tuple[dict[str, Tensor], dict]:
+def load_tensors(path: Path, root: Path = DATA) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """The tensors and the sidecar of a .safetensors file.
 
     Raises:
-        ArtifactError: if the file fails the manifest, or is no safetensors file (a pickle is never opened).
+        ArtifactError: if the file fails the manifest, is no safetensors file (a pickle is never opened), or holds NaN.
+
+    Example:
+        >>> state, sidecar = load_tensors(DATA / "hopper-td3" / "detector-diverse.safetensors")
+        >>> state["obs_mean"].shape, sidecar["threshold"] > 0
+        (torch.Size([11]), True)
     """
     path = Path(path)
     if path.suffix != ".safetensors":
@@ -36,6 +42,8 @@ def load_tensors(path: Path, root: Path = DATA) -> tuple[dict[str, Tensor], dict
         state = load(read_bytes(path, root))
     except SafetensorError as error:
         raise ArtifactError(f"{path} is not in the safetensors format ({error}); {REMEDY}") from None
+    if wrong := [name for name, tensor in state.items() if tensor.isnan().any()]:
+        raise ArtifactError(f"{path} holds NaN in {', '.join(wrong)}; make it anew with its recipe")
     return state, read_json(path.with_suffix(".json"), root)
 
 

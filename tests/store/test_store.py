@@ -5,10 +5,12 @@ import re
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 import torch
 from builders import make_gruvae, make_victim, normal
+from conftest import ROOT
 
 from detden_lite.core.files import ArtifactError
 from detden_lite.core.networks import mlp
@@ -310,3 +312,152 @@ def test_what_is_no_adversary_is_refused(tmp_path):
         models.load_adversary("hopper", "td3", "optimal", tmp_path)
     with pytest.raises(ValueError, match="kind must be one of optimal, linear, adaptive-optimal, not 'best'"):
         models.load_adversary("hopper", "td3", "best", tmp_path)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"[]", b"null", b'"text"', b"{", b"\xff\xfe{}", b'{"a": 3}', b'{"a": null}', b'{"a": {}}', b"[" * 100_000],
+    ids=range(10),
+)
+def test_a_damaged_manifest_is_refused_by_name(root, content):
+    (root / "manifest.json").write_bytes(content)
+    for use in (
+        lambda: models.load_victim("hopper", "td3", root),
+        lambda: read_cell(root),
+        lambda: manifest.write_json(root / "new.json", {}, root),
+    ):
+        with pytest.raises(ArtifactError, match=r"manifest\.json is .*restore it"):
+            use()
+    assert not (root / "new.json").exists()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"[]", b"null", b"3", b"{", b"\xff{}", b'{"a": NaN}', b'{"a": [-Infinity]}', b"[" * 100_000],
+    ids=range(9),
+)
+def test_a_file_that_is_no_json_object_is_refused_by_name(root, content):
+    manifest.write_bytes(root / "results" / "cell.json", content, root)
+    with pytest.raises(ArtifactError, match=r"cell\.json is not a JSON object.*restore it"):
+        read_cell(root)
+
+
+def test_a_path_outside_the_root_is_refused(root, tmp_path_factory):
+    other = tmp_path_factory.mktemp("other") / "cell.json"
+    for path in (other, root / ".." / "cell.json", root / "results" / ".." / ".." / "cell.json"):
+        with pytest.raises(ArtifactError, match=r"cell\.json is not in .+; give a path inside"):
+            manifest.write_json(path, {}, root)
+        path.write_text("{}")
+        for use in (manifest.read_json, manifest.read_bytes, manifest.promised):
+            with pytest.raises(ArtifactError, match=r"cell\.json is not in .+; give a path inside"):
+                use(path, root)
+        path.unlink()
+    with pytest.raises(ArtifactError, match="give a path inside"):
+        models.load_victim("../hopper", "td3", root)
+
+
+def test_relative_and_absolute_paths_mean_the_same_file(root, monkeypatch):
+    monkeypatch.chdir(root)
+    assert manifest.read_json(Path("results/cell.json"), root) == dict(mean=1.5)
+    assert manifest.read_json(root / "results" / "cell.json", Path(".")) == dict(mean=1.5)
+
+
+def test_a_folder_in_the_place_of_a_file_is_refused(root):
+    (root / "results" / "cell.json").unlink()
+    (root / "results" / "cell.json").mkdir()
+    with pytest.raises(ArtifactError, match=r"cell\.json could not be read"):
+        read_cell(root)
+
+
+WRONG_CARDS = [
+    dict(threshold=True), dict(threshold=None), dict(threshold="high"), dict(threshold=[1.5]),
+    {}, dict(data="diverse"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("change", WRONG_CARDS, ids=str)
+def test_a_detector_without_a_proper_threshold_is_refused(root, change):
+    path = root / "hopper-td3" / "detector-diverse.json"
+    card = {name: value for name, value in manifest.read_json(path, root).items() if name != "threshold"}
+    manifest.write_json(path, card | change, root)
+    with pytest.raises(ArtifactError, match=r"detector-diverse\.json .*threshold.*make .* anew"):
+        models.load_defense("hopper", "td3", "residual", root)
+
+
+@pytest.mark.parametrize("threshold", [b"NaN", b"Infinity", b"1e999"])
+def test_a_threshold_that_is_not_finite_is_refused(root, threshold):
+    path = root / "hopper-td3" / "detector-diverse.json"
+    manifest.write_bytes(path, path.read_bytes().replace(b"1.5", threshold), root)
+    with pytest.raises(ArtifactError, match=r"detector-diverse\.json .*anew"):
+        models.load_defense("hopper", "td3", "residual", root)
+
+
+@pytest.mark.parametrize("data", [None, 3, ["diverse"], "../../x"])
+def test_a_denoiser_must_name_the_data_of_its_detector(root, data):
+    path = root / "hopper-td3" / "denoiser-residual.json"
+    card = {name: value for name, value in manifest.read_json(path, root).items() if name != "data"}
+    for changed in (card, card | dict(data=data)):
+        manifest.write_json(path, changed, root)
+        with pytest.raises(
+            ArtifactError, match=r"denoiser-residual\.json .*data.*anew|detector-.* is missing|give a path"
+        ):
+            models.load_defense("hopper", "td3", "residual", root)
+
+
+def cut(tensor):
+    return tensor[..., :-1].clone()
+
+
+@pytest.mark.parametrize("harm", [cut, lambda tensor: tensor.fill_(float("nan"))], ids=["shape", "nan"])
+@pytest.mark.parametrize("name", ["victim", "detector-diverse", "denoiser-residual"])
+def test_weights_of_a_wrong_shape_or_nan_are_refused(root, harm, name):
+    path = root / "hopper-td3" / f"{name}.safetensors"
+    state, card = tensors.load_tensors(path, root)
+    weight = next(name for name, tensor in state.items() if tensor.ndim == 2)
+    tensors.save_tensors(path, state | {weight: harm(state[weight])}, card, root)
+    with pytest.raises(ArtifactError, match=rf"{name}\.safetensors .*make .* anew"):
+        models.load_victim("hopper", "td3", root)
+        models.load_defense("hopper", "td3", "residual", root)
+
+
+@pytest.mark.parametrize(
+    "config", [None, [], 3, "text", {}, dict(actor="text"), dict(actor=[]), dict(actor=[11, "8", 3])]
+)
+def test_a_sidecar_with_a_wrong_configuration_is_refused(root, config):
+    path = root / "hopper-td3" / "victim.json"
+    manifest.write_json(path, manifest.read_json(path, root) | dict(config=config), root)
+    with pytest.raises(ArtifactError, match=r"victim\.safetensors does not fit its sidecar .*make both anew"):
+        models.load_victim("hopper", "td3", root)
+
+
+def test_an_unknown_model_is_refused_with_the_list_of_those_there(root):
+    for use, known in (
+        (lambda: models.load_victim("hoper", "td3", root), "hopper-td3"),
+        (lambda: models.load_victim("hopper", "sac", root), "hopper-td3"),
+        (lambda: models.load_model("hopper", "td3", "detector-best", root), "detector-diverse"),
+        (lambda: models.load_model("hopper", "td3", "best", root), "denoiser-residual, detector-diverse, victim"),
+        (lambda: models.load_defense("hopper", "td3", "best", root), "denoiser-residual"),
+        (lambda: models.load_adversary("hopper", "td3", "linear", root), "denoiser-residual, detector-diverse, victim"),
+    ):
+        with pytest.raises(ArtifactError, match=rf"is missing; there are: {known}$"):
+            use()
+
+
+def test_a_folder_without_models_names_the_variable_to_set(tmp_path):
+    with pytest.raises(ArtifactError, match=r"is missing.*DETDEN_DATA"):
+        models.load_victim("hopper", "td3", tmp_path)
+    with pytest.raises(ArtifactError, match=r"is missing.*DETDEN_DATA"):
+        manifest.read_json(tmp_path / "results" / "cell.json", tmp_path)
+
+
+FIND = "from detden_lite.store.manifest import DATA; print(DATA)"
+
+
+def test_the_data_folder_is_the_named_one_or_the_repositorys(tmp_path):
+    for named, expected in ((str(tmp_path), tmp_path), ("", ROOT / "data"), (None, ROOT / "data")):
+        environment = {name: value for name, value in os.environ.items() if name != "DETDEN_DATA"}
+        environment |= {} if named is None else dict(DETDEN_DATA=named)
+        found = subprocess.run(
+            [sys.executable, "-c", FIND], env=environment, capture_output=True, text=True, check=True
+        )
+        assert Path(found.stdout.strip()) == expected
