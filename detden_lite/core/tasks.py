@@ -43,12 +43,15 @@ TASKS = {
 
 SWIMMER = Task("swimmer", "Swimmer-v5", epsilon=0.5, obs_dim=8, action_dim=2)  # the book defends it in one call
 
-TASK_NAMES = (*TASKS, SWIMMER.name)
+OTHERS = (SWIMMER,)  # the tasks that are not the paper's
+_BY_NAME = TASKS | {task.name: task for task in OTHERS}
+
+TASK_NAMES = tuple(_BY_NAME)
 
 
 def get_task(name: str) -> Task:
     """The task called ``name``; a ValueError that lists the names otherwise."""
     try:
-        return {**TASKS, SWIMMER.name: SWIMMER}[name]
+        return _BY_NAME[name]
     except KeyError:
         raise ValueError(f"unknown task {name!r}; choose one of: {', '.join(TASK_NAMES)}") from None
