@@ -165,13 +165,11 @@ class Denoiser(Protocol):
 
 
 class Defense(Protocol):
-    """Stands between the sensors and the policy.
+    """Stands between the sensors and the policy."""
 
-    Attributes:
-        needs: "truth" for an oracle, which ``rollout`` tells by ``reveal``; otherwise nothing.
-    """
-
-    needs: frozenset[str]
+    @property
+    def needs(self) -> frozenset[str]:
+        """The string "truth" for an oracle, which ``rollout`` tells by ``reveal``; otherwise nothing."""
 
     def reset(self, episodes: Sequence[int]) -> None:
         """Begin new episodes, one seed each."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 PARTS = ("adversarial", "qfunction")  # of D_adv: attacked offline by the opposite and by the Q-function attack
 
@@ -18,7 +19,7 @@ class Variant:
 
     data: str
     adversarial: tuple[str, ...] = ("adversarial",)
-    recipe: Mapping[str, object] = field(default_factory=dict)
+    recipe: Mapping[str, Any] = field(default_factory=dict)
 
 
 DATASETS = {"plain": (0.0,), "diverse": (0.0, 0.1, 0.2, 0.3)}
