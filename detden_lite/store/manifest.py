@@ -171,11 +171,11 @@ def _name(path: Path, root: Path) -> str:
 
 
 def where_else(root: Path) -> str | None:
-    """Where to find files that this root never had; None for a root that has some of its own."""
+    """Where to find shipped files that this root lacks; None for a root that is not ``DATA``, such as a run's."""
     if Path(root) == PACKAGED:
         hint = "the installed package has the smaller models alone"
-    elif not (Path(root) / "manifest.json").exists():
-        hint = f"{root} holds nothing that this project made"
+    elif Path(root) == DATA and not (DATA / "manifest.json").exists():
+        hint = f"{root} has no manifest.json"
     else:
         return None
     return f"{hint}: let the environment variable DETDEN_DATA name the folder data/ of a checkout of the repository"

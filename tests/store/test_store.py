@@ -443,21 +443,23 @@ def test_an_unknown_model_is_refused_with_the_list_of_those_there(root):
             use()
 
 
-def test_a_folder_without_models_names_the_variable_to_set(tmp_path):
-    with pytest.raises(ArtifactError, match=r"is missing.*DETDEN_DATA"):
-        models.load_victim("hopper", "td3", tmp_path)
-    with pytest.raises(ArtifactError, match=r"is missing.*DETDEN_DATA"):
-        manifest.read_json(tmp_path / "results" / "cell.json", tmp_path)
-
-
 FIND = "from detden_lite.store.manifest import DATA; print(DATA)"
+LOAD = "from detden_lite import load_record, load_victim; load_{}"
+
+
+def python(program: str, data: str | None) -> subprocess.CompletedProcess:
+    """Run a program with this DETDEN_DATA, or without one."""
+    environment = {name: value for name, value in os.environ.items() if name != "DETDEN_DATA"}
+    environment |= {} if data is None else dict(DETDEN_DATA=data)
+    return subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
 
 
 def test_the_data_folder_is_the_named_one_or_the_repositorys(tmp_path):
     for named, expected in ((str(tmp_path), tmp_path), ("", ROOT / "data"), (None, ROOT / "data")):
-        environment = {name: value for name, value in os.environ.items() if name != "DETDEN_DATA"}
-        environment |= {} if named is None else dict(DETDEN_DATA=named)
-        found = subprocess.run(
-            [sys.executable, "-c", FIND], env=environment, capture_output=True, text=True, check=True
-        )
-        assert Path(found.stdout.strip()) == expected
+        assert Path(python(FIND, named).stdout.strip()) == expected
+
+
+@pytest.mark.parametrize("what", ["victim('hopper', 'td3')", "record('hopper-td3.none.always.none')"])
+def test_a_data_folder_without_data_names_the_variable_to_set(tmp_path, what):
+    error = python(LOAD.format(what), str(tmp_path)).stderr
+    assert re.search(r"ArtifactError: .+ is missing; .+: let the environment variable DETDEN_DATA name", error), error
