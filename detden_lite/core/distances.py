@@ -40,12 +40,13 @@ def mahalanobis(
         >>> mahalanobis(torch.tensor([[3.0, 4.0]]), torch.zeros(1, 2), std=torch.tensor([3.0, 1.0]))
         tensor([17.])
     """
-    if sum(given is not None for given in (std, precision, factor)) != 1:
-        raise ValueError("give one of std, precision and factor: each describes Sigma alone")
-    deviation = action - reference
-    if precision is not None:
-        return (deviation.square() * precision).sum(-1)
-    if factor is None:
-        return (deviation / std).square().sum(-1)
-    rows = deviation.reshape(-1, len(factor))
-    return torch.linalg.solve_triangular(factor, rows.T, upper=False).square().sum(0).view(deviation.shape[:-1])
+    if sum(given is not None for given in (std, precision, factor)) == 1:
+        deviation = action - reference
+        if factor is not None:
+            rows = deviation.reshape(-1, len(factor))
+            return torch.linalg.solve_triangular(factor, rows.T, upper=False).square().sum(0).view(deviation.shape[:-1])
+        if std is not None:
+            return (deviation / std).square().sum(-1)
+        if precision is not None:
+            return (deviation.square() * precision).sum(-1)
+    raise ValueError("give one of std, precision and factor: each describes Sigma alone")

@@ -2,18 +2,21 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-LEAST_STD = 1e-2  # of an observation, in raw units; one that never varies has to be measured in something
+from detden_lite.core.arguments import check_whole
+
+LEAST_STD = 1e-2  # of an observation, in raw units; one that never varies needs a unit too
 
 State = tuple[Tensor, Tensor]  # encoder_state h^o and decoder_state h^z, [layers, N, hidden] each
 
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """What a GRU-VAE says of a sequence: ``output`` in observation units, and the latent Gaussian q(z | o, h)."""
+    """The answer of a GRU-VAE to a sequence: ``output`` in observation units, and the latent Gaussian q(z | o, h)."""
 
     output: Tensor  # [N, steps, obs_dim]
     mean: Tensor  # mu, [N, steps, latent_dim]
@@ -21,7 +24,29 @@ class Reconstruction:
     state: State
 
 
-class GRUVAE(nn.Module):
+class Standardized(nn.Module):
+    """A network that measures observations in the mean and standard deviation of D_normal (z-scores).
+
+    Args:
+        obs_dim: size of an observation.
+    """
+
+    obs_mean: Tensor  # [obs_dim]
+    obs_std: Tensor  # [obs_dim]
+
+    def __init__(self, obs_dim: int):
+        super().__init__()
+        self.obs_dim = obs_dim
+        self.register_buffer("obs_mean", torch.zeros(obs_dim))
+        self.register_buffer("obs_std", torch.ones(obs_dim))
+
+    def set_statistics(self, mean: Tensor, std: Tensor) -> None:
+        """Take the z-scoring's statistics, ``[obs_dim]`` each; no observation varies by less than ``LEAST_STD``."""
+        self.obs_mean.copy_(mean)
+        self.obs_std.copy_(std.clamp(min=LEAST_STD))
+
+
+class GRUVAE(Standardized):
     """Encoder GRU, Gaussian latent, decoder GRU, linear output.
 
     Observations are z-scored on the way in, with the statistics of D_normal, and back on the way out.
@@ -34,35 +59,37 @@ class GRUVAE(nn.Module):
         residual: False, as the paper has it: the output is the decoder's. True: the output is the input plus the
             decoder's, which then only has to learn the correction. Or ``[obs_dim]`` bools: the input is added where
             True.
+
+    Raises:
+        ValueError: if a size is not a whole number of at least 1, or ``residual`` has another length than ``obs_dim``.
+
+    Example:
+        >>> model = GRUVAE(obs_dim=3, hidden=8, latent=2)
+        >>> result = model(torch.zeros(5, 10, 3))
+        >>> result.output.shape, result.mean.shape
+        (torch.Size([5, 10, 3]), torch.Size([5, 10, 2]))
+        >>> model(torch.zeros(5, 1, 3), state=result.state).output.shape  # the next step of the same episodes
+        torch.Size([5, 1, 3])
     """
 
+    added: Tensor
+
     def __init__(
-        self,
-        obs_dim: int,
-        hidden: int = 64,
-        layers: int = 1,
-        latent: int = 64,
-        residual: bool | Sequence[bool] = False,
+        self, obs_dim: int, hidden: int = 64, layers: int = 1, latent: int = 64, residual: bool | Sequence[bool] = False
     ):
-        super().__init__()
+        check_whole(1, obs_dim=obs_dim, hidden=hidden, layers=layers, latent=latent)
+        super().__init__(obs_dim)
+        self.latent_dim = latent
         self.config = dict(obs_dim=obs_dim, hidden=hidden, layers=layers, latent=latent, residual=residual)
         self.encoder = nn.GRU(obs_dim, hidden, layers, batch_first=True)
         self.to_mean = nn.Linear(hidden, latent)
         self.to_log_variance = nn.Linear(hidden, latent)
         self.decoder = nn.GRU(latent, hidden, layers, batch_first=True)
         self.to_output = nn.Linear(hidden, obs_dim)
-        self.register_buffer("obs_mean", torch.zeros(obs_dim))
-        self.register_buffer("obs_std", torch.ones(obs_dim))
-        added = torch.as_tensor(residual, dtype=torch.float32).expand(obs_dim).clone()
-        self.register_buffer("added", added, persistent=False)
-
-    @property
-    def obs_dim(self) -> int:
-        return self.config["obs_dim"]
-
-    @property
-    def latent_dim(self) -> int:
-        return self.config["latent"]
+        added = torch.as_tensor(residual, dtype=torch.float32)
+        if added.shape not in ((), (obs_dim,)):
+            raise ValueError(f"residual must be True, False or {obs_dim} of them, not {residual!r}")
+        self.register_buffer("added", added.expand(obs_dim).clone(), persistent=False)
 
     def forward(self, obs: Tensor, noise: Tensor | None = None, state: State | None = None) -> Reconstruction:
         """Encode, sample and decode a sequence.
@@ -89,13 +116,8 @@ class GRUVAE(nn.Module):
         out = self.added * (obs - self.obs_mean) / self.obs_std + self.to_output(decoded)
         return out * self.obs_std + self.obs_mean, state
 
-    def set_statistics(self, mean: Tensor, std: Tensor) -> None:
-        """Take the z-scoring's statistics, ``[obs_dim]`` each; no observation varies by less than ``LEAST_STD``."""
-        self.obs_mean.copy_(mean)
-        self.obs_std.copy_(std.clamp(min=LEAST_STD))
-
     @classmethod
-    def from_state(cls, config: Mapping, state: Mapping[str, Tensor]) -> "GRUVAE":
+    def from_state(cls, config: Mapping[str, Any], state: Mapping[str, Tensor]) -> "GRUVAE":
         """The model with this ``config`` (see ``model.config``) and ``state`` (its state dict), frozen."""
         model = cls(**config)
         model.load_state_dict(state)
@@ -107,7 +129,7 @@ def sample(mean: Tensor, log_variance: Tensor, noise: Tensor | None) -> Tensor:
     return mean if noise is None else mean + (0.5 * log_variance).exp() * noise
 
 
-def reconstruction_loss(model: GRUVAE, output: Tensor, target: Tensor) -> Tensor:
+def reconstruction_loss(model: Standardized, output: Tensor, target: Tensor) -> Tensor:
     """-log p(o | z, h) up to a constant: half the squared z-scored error, summed over dimensions, ``[N, steps]``."""
     return 0.5 * ((output - target) / model.obs_std).square().sum(-1)
 
@@ -118,8 +140,16 @@ def kl_divergence(mean: Tensor, log_variance: Tensor, prior: str = "free") -> Te
     Args:
         mean: mu of q, ``[N, steps, latent_dim]``.
         log_variance: log sigma^2 of q.
-        prior: "free" for the paper's N(mu_z, I), whose mean is free and so, at its best, equal to q's own: only the
-            variance is held; "standard" for N(0, I).
+        prior: "free" for the paper's N(mu_z, I), whose mean is free. At its best it is equal to q's own mean, so that
+            only the variance is penalised. "standard" for N(0, I).
+
+    Raises:
+        ValueError: for another prior.
+
+    Example:
+        >>> mean, log_variance = torch.full((1, 1, 2), 3.0), torch.zeros(1, 1, 2)
+        >>> kl_divergence(mean, log_variance).item(), kl_divergence(mean, log_variance, "standard").item()
+        (0.0, 9.0)
     """
     variance_part = 0.5 * (log_variance.exp() - 1 - log_variance).sum(-1)
     if prior == "free":

@@ -1,4 +1,4 @@
-"""What linear algebra knows of D_normal: a Gaussian of its observations, and a model of how one follows another."""
+"""Linear models of D_normal: a Gaussian of its observations, and how one observation follows another."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,12 +7,20 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from detden_lite.core.arguments import check_positive
 from detden_lite.core.types import Trajectories
+from detden_lite.defense.augmentation import check_trajectories
 
 
 @dataclass(frozen=True)
 class Gaussian:
-    """N(mean, covariance), float64: ``[obs_dim]`` and ``[obs_dim, obs_dim]``."""
+    """N(mean, covariance), float64: ``[obs_dim]`` and ``[obs_dim, obs_dim]``.
+
+    Example:
+        >>> normal = Trajectories(np.array([[[1.0], [3.0]]], np.float32), np.array([2]))
+        >>> Gaussian.fit(normal).mean
+        tensor([2.], dtype=torch.float64)
+    """
 
     mean: Tensor
     covariance: Tensor
@@ -27,15 +35,23 @@ class Gaussian:
                 direction that never varies would make every deviation infinitely unlikely.
 
         Raises:
-            ValueError: if ``ridge`` is not positive.
+            ValueError: if ``ridge`` is not positive, or ``normal`` cannot be learned from.
         """
+        check_trajectories("normal", normal)
         mean, covariance = _moments(normal, lambda obs: obs)
         return cls(mean, covariance + _ridge(covariance, ridge))
 
 
 @dataclass(frozen=True)
 class LinearModel:
-    """o_{t+1} = A o_t + b + w with w ~ N(0, Q): the robot and its policy, as far as they are linear. All float64."""
+    """o_{t+1} = A o_t + b + w with w ~ N(0, Q): the robot and its policy, as far as they are linear. All float64.
+
+    Example:
+        >>> halving = np.array([[[8.0], [4.0], [2.0], [1.0]]], np.float32)
+        >>> model = LinearModel.fit(Trajectories(halving, np.array([4])))
+        >>> round(model.predict(torch.tensor([[1.0]])).item(), 4)
+        0.5
+    """
 
     transition: Tensor  # A, [obs_dim, obs_dim]
     offset: Tensor  # b, [obs_dim]
@@ -44,15 +60,17 @@ class LinearModel:
 
     @classmethod
     def fit(cls, normal: Trajectories, ridge: float = 1e-6) -> "LinearModel":
-        """Least squares over all pairs of successive observations; Q is the covariance of what is left.
+        """Least squares over all pairs of successive observations; Q is the covariance of the residuals.
 
         Args:
             normal: D_normal.
             ridge: as in ``Gaussian.fit``, added to the variance of the observations and to Q.
 
         Raises:
-            ValueError: if ``ridge`` is not positive, or no trajectory has two observations.
+            ValueError: if ``ridge`` is not positive, ``normal`` cannot be learned from, or no trajectory has two
+                observations.
         """
+        check_trajectories("normal", normal)
         if not (normal.lengths > 1).any():
             raise ValueError("normal: no trajectory has two observations, so nothing says how one follows another")
         d = normal.obs.shape[-1]
@@ -76,14 +94,14 @@ def steady_gain(model: LinearModel, measurement: Tensor, steps: int = 1_000) -> 
 
     Args:
         model: how observations follow each other.
-        measurement: R, the covariance of what is added to the observation, ``[obs_dim, obs_dim]``.
-        steps: after so many steps of the recursion it is settled enough: no episode is longer.
+        measurement: R, the covariance of the noise on the observation, ``[obs_dim, obs_dim]``.
+        steps: the most steps of the recursion: no episode is longer.
     """
-    gain, predicted = None, model.noise
+    gain, predicted = torch.full_like(measurement, torch.nan), model.noise
     for _ in range(steps):
         before = gain
         gain = torch.cholesky_solve(predicted, torch.linalg.cholesky(predicted + measurement)).T
-        if before is not None and torch.allclose(gain, before, rtol=0, atol=1e-9):
+        if torch.allclose(gain, before, rtol=0, atol=1e-9):
             break
         filtered = predicted - gain @ predicted
         predicted = model.transition @ (filtered + filtered.T) / 2 @ model.transition.T + model.noise
@@ -92,7 +110,7 @@ def steady_gain(model: LinearModel, measurement: Tensor, steps: int = 1_000) -> 
 
 def _moments(normal: Trajectories, rows: Callable[[np.ndarray], np.ndarray]) -> tuple[Tensor, Tensor]:
     """Mean and covariance of the rows that each episode gives, one episode after the other to save memory."""
-    episodes = [obs[:length] for obs, length in zip(normal.obs, normal.lengths, strict=True) if length]
+    episodes = [obs[:length] for obs, length in zip(normal.obs, normal.lengths, strict=True)]
     n = sum(len(rows(obs)) for obs in episodes)
     mean = sum(rows(obs).sum(0, dtype=np.float64) for obs in episodes) / n
     centred = (rows(obs) - mean for obs in episodes)
@@ -100,7 +118,6 @@ def _moments(normal: Trajectories, rows: Callable[[np.ndarray], np.ndarray]) -> 
 
 
 def _ridge(covariance: Tensor, ridge: float) -> Tensor:
-    if not ridge > 0:
-        raise ValueError(f"ridge must be a positive number, not {ridge}")
+    check_positive(ridge=ridge)
     variance = covariance.diagonal()
     return torch.diag(ridge * torch.where(variance > 1e-8, variance, 1.0))

@@ -24,12 +24,7 @@ class Recurrent:
     state: State | None
 
     def __init__(self, model: GRUVAE, seed: int, sample: bool):
-        self.model, self.seed, self.sample = model, seed, sample
-
-    @property
-    def obs_dim(self) -> int:
-        """Size of an observation."""
-        return self.model.obs_dim
+        self.model, self.seed, self.sample, self.obs_dim = model, seed, sample, model.obs_dim
 
     def reset(self, episodes: Sequence[int]) -> None:
         """Begin new episodes, one seed each."""

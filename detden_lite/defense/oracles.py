@@ -1,25 +1,25 @@
-"""The ceiling: a detector and a denoiser that are told the truth. What is missing to them, the defender's part lost.
+"""The ceiling: a detector and a denoiser that are told the truth. The gap to an oracle is what that part costs.
 
-No defender knows the truth. So an oracle declares that it ``needs`` it, ``rollout`` reveals it before each observation,
-and one that was not told refuses to answer: nothing that runs on a robot can use it by mistake.
+No defender knows the truth. So an oracle declares that it ``needs`` it, and ``rollout`` reveals it before each
+observation. An oracle that was not told refuses to answer: nothing that runs on a robot can use it by mistake.
 """
 
 from collections.abc import Sequence
 
 from torch import Tensor
 
+from detden_lite.defense.memory import Memoryless
 
-class _Oracle:
-    """What both have: a truth that is used up by one step."""
+
+class _Oracle(Memoryless):
+    """A part that is told the truth before each step, and uses it up in that step."""
 
     needs = frozenset({"truth"})
+    truth: tuple[Tensor, Tensor] | None
 
     def reset(self, episodes: Sequence[int]) -> None:
         """Begin new episodes."""
         self.truth = None
-
-    def restart(self, i: int, episode: int) -> None:
-        """Begin a new episode in row i; there is no memory."""
 
     def reveal(self, true: Tensor, attacked: Tensor) -> None:
         """The true observation ``[N, obs_dim]`` behind the next one, and whether it is attacked, ``[N]`` bool."""
@@ -36,7 +36,16 @@ class _Oracle:
 
 
 class OracleDetector(_Oracle):
-    """Raises the alarm where there is an attack and nowhere else. Its score is 1 or 0, its reconstruction the truth."""
+    """Raises the alarm where there is an attack and nowhere else. Its score is 1 or 0, its reconstruction the truth.
+
+    Example:
+        >>> import torch
+        >>> oracle, true = OracleDetector(), torch.zeros(2, 3)
+        >>> oracle.reset(episodes=[0, 1])
+        >>> oracle.reveal(true, torch.tensor([True, False]))  # in an episode rollout does this
+        >>> oracle.step(true + 0.1)[1]
+        tensor([ True, False])
+    """
 
     threshold = 0.5
 
@@ -51,10 +60,19 @@ class OracleDetector(_Oracle):
 
 
 class OracleDenoiser(_Oracle):
-    """Undoes every attack: o from o_hat."""
+    """Undoes every attack: o from o_hat.
+
+    Example:
+        >>> import torch
+        >>> oracle, true = OracleDenoiser(), torch.zeros(1, 3)
+        >>> oracle.reset(episodes=[0])
+        >>> oracle.reveal(true, torch.tensor([True]))
+        >>> oracle.step(true + 0.1)
+        tensor([[0., 0., 0.]])
+    """
 
     def step(self, obs: Tensor, action: Tensor | None = None) -> Tensor:
-        """The true observation ``[N, obs_dim]``.
+        """The true observation ``[N, obs_dim]``; the policy's last ``action`` is not used.
 
         Raises:
             ValueError: if the truth was not revealed.

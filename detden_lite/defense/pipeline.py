@@ -13,14 +13,30 @@ class DetectAndDenoise:
     """The paper's defence. Both parts see every observation, so that their memories stay in step with the episode.
 
     The contracts of both parts are in ``detden_lite.core.types``. The GRU-VAEs of the paper, the baselines and the
-    oracles may be put together freely.
+    oracles may be combined freely.
 
     Args:
         detector: raises the alarm.
-        denoiser: cleans what is alarming; None for the detector's own reconstruction, an ablation.
+        denoiser: cleans alarming observations; None for the detector's own reconstruction, an ablation.
         always: denoise at every step, whatever the detector says; an ablation.
-        budget: if given, what is denoised is projected into B(o_hat): the truth lies there if the attacker kept to the
-            budget. The paper does not do this (its released code does).
+        budget: if given, the denoised observation is projected into B(o_hat): the truth lies there if the attacker kept
+            to the budget. The paper does not do this (its released code does).
+
+    Attributes:
+        obs_dim: size of an observation, if one of the parts says it; otherwise None.
+
+    Raises:
+        ValueError: if the parts are for observations of different sizes.
+
+    Example:
+        >>> from detden_lite import load_defense
+        >>> defense = load_defense("hopper", "td3", "mixed")
+        >>> defense.reset(episodes=[0, 1])  # one seed for each row of the observations
+        >>> verdict = defense(torch.full((2, 11), 9.0))  # no robot looks like that
+        >>> verdict.alarm
+        tensor([True, True])
+        >>> defense
+        DetectAndDenoise(Detector > 0.1253, Denoiser)
     """
 
     def __init__(
@@ -28,6 +44,15 @@ class DetectAndDenoise:
     ):
         self.detector, self.denoiser, self.always, self.budget = detector, denoiser, always, budget
         self._rows: int | None = None  # episodes under way
+        sizes: list[int] = [part.obs_dim for part in self.parts if hasattr(part, "obs_dim")]
+        self.obs_dim = sizes[0] if sizes else None
+        if len(set(sizes)) > 1:
+            raise ValueError(f"denoiser: its observations have {sizes[1]} numbers, and the detector's {sizes[0]}")
+
+    def __repr__(self) -> str:
+        denoiser = "None" if self.denoiser is None else type(self.denoiser).__name__
+        changes = "".join(f", {name}" for name in self.ablations)
+        return f"DetectAndDenoise({type(self.detector).__name__} > {self.detector.threshold:.4g}, {denoiser}{changes})"
 
     @property
     def parts(self) -> list[Detector | Denoiser]:
@@ -36,12 +61,12 @@ class DetectAndDenoise:
 
     @property
     def needs(self) -> frozenset[str]:
-        """What no defender knows and an oracle has to be told: "truth", or nothing."""
+        """The knowledge that no defender has and an oracle must be told: "truth", or nothing."""
         return frozenset().union(*(getattr(part, "needs", ()) for part in self.parts))
 
     @property
     def ablations(self) -> list[str]:
-        """The names of what is not as the paper has it, for a result record."""
+        """The names of all differences from the paper's defence, for a result record."""
         changes = dict(
             always=self.always,
             projected=self.budget is not None,
@@ -63,24 +88,27 @@ class DetectAndDenoise:
             part.restart(i, episode)
 
     def reveal(self, true: Tensor, attacked: Tensor) -> None:
-        """Tell the parts that are oracles what no defender knows of the next observation; only ``rollout`` does."""
+        """Tell the oracles among the parts the truth of the next observation, which only ``rollout`` knows."""
         for part in self.parts:
-            if "truth" in getattr(part, "needs", ()):
+            if "truth" in getattr(part, "needs", ()) and hasattr(part, "reveal"):
                 part.reveal(true, attacked)
 
     def __call__(self, obs: Tensor, action: Tensor | None = None) -> Verdict:
         """Judge one observation of each episode.
 
         Args:
-            obs: what is shown, ``[N, obs_dim]`` float32, in raw units.
+            obs: the observations as the policy would see them, ``[N, obs_dim]`` float32, in raw units.
             action: what the policy did one step before; see ``detden_lite.core.types.Denoiser.step``.
 
         Raises:
-            ValueError: if no episodes were begun, or not as many as there are rows, or an observation is not finite: it
-                would poison the networks' memory for the whole episode.
+            ValueError: if no episodes were begun, or not as many as there are rows; if the observations have another
+                shape or type; or if one is not finite: it would spoil the networks' memory for the whole episode.
         """
         if self._rows is None:
             raise ValueError("no episode is under way; call reset(episodes) first, with one seed for each row of obs")
+        if obs.ndim != 2 or obs.dtype != torch.float32 or obs.shape[1] != (self.obs_dim or obs.shape[1]):
+            wanted = f"[{self._rows}, {self.obs_dim or 'obs_dim'}]"
+            raise ValueError(f"obs must be a float32 tensor {wanted}, not {list(obs.shape)} of {obs.dtype}")
         if len(obs) != self._rows:
             raise ValueError(f"obs has {len(obs)} rows, but {self._rows} episodes are under way; call reset(episodes)")
         if not torch.isfinite(obs).all():

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from detden_lite.core.arguments import check_whole
 from detden_lite.core.budget import Budget
 from detden_lite.core.distances import euclidean, mahalanobis
 from detden_lite.core.gradients import value_and_gradient
@@ -22,10 +23,10 @@ class Regularizer:
     """R of a victim whose parameters stay as they are: only the denoiser's are trained.
 
     The inner attack is the opposite attack on pi o den by projected gradient ascent on R itself. The denoiser
-    remembers, so that it is no attack on one observation: all observations of a sequence are perturbed jointly, each in
-    its own ball, to make the mean of R over the sequence large. So a perturbation is also chosen for what it does to
-    later actions through the memory, and the whole sequence costs one call a gradient step. The latent noise is held
-    fixed and is the same for both actions: R is what the perturbation does, not what the sampling does.
+    remembers, so that single observations are not attacked one by one: all observations of a sequence are perturbed
+    jointly, each in its own ball, to make the mean of R over the sequence large. So a perturbation is also chosen for
+    its effect on later actions through the memory, and the whole sequence costs one call a gradient step. The latent
+    noise is held fixed and is the same for both actions: R measures the perturbation, not the sampling.
 
     Args:
         victim: pi. A Gaussian policy's mean is compared before it is clipped, as in the opposite attack.
@@ -36,6 +37,14 @@ class Regularizer:
 
     Raises:
         ValueError: for fewer than one step or another reference.
+
+    Example:
+        >>> from detden_lite import Regularizer, load_model, load_victim
+        >>> victim, denoiser = load_victim("hopper", "td3"), load_model("hopper", "td3", "denoiser-mixed")[0]
+        >>> obs = torch.zeros(2, 10, 11)  # two sequences of ten steps
+        >>> r = Regularizer(victim, Budget(0.075))(denoiser, obs, mask=torch.ones(2, 10))
+        >>> bool(r > 0)
+        True
     """
 
     victim: Victim
@@ -43,20 +52,16 @@ class Regularizer:
     steps: int = 3
     reference: str = "denoised"
 
-    def __post_init__(self):
-        if self.steps < 1:
-            raise ValueError(f"steps must be at least 1, not {self.steps}")
+    def __post_init__(self) -> None:
+        check_whole(1, steps=self.steps)
         if self.reference not in ("denoised", "true"):
             raise ValueError(f'reference must be "denoised" or "true", not {self.reference!r}')
 
     @property
-    def settings(self) -> dict:
+    def settings(self) -> dict[str, object]:
         """All but the victim, ready for JSON."""
-        budget = self.budget
-        scale = torch.as_tensor(budget.scale).tolist()
-        return dict(
-            epsilon=budget.epsilon, norm=str(budget.norm), scale=scale, steps=self.steps, reference=self.reference
-        )
+        budget = dict(vars(self.budget), norm=str(self.budget.norm), scale=torch.as_tensor(self.budget.scale).tolist())
+        return dict(budget, steps=self.steps, reference=self.reference)
 
     def distance(self, action: Tensor, reference: Tensor) -> Tensor:
         """R of each observation: R_ppo for a Gaussian policy, R_td3 for a deterministic one."""
@@ -77,7 +82,7 @@ class Regularizer:
             model: den.
             obs: true observations ``[N, steps, obs_dim]``.
             reference: actions to get away from, ``[N, steps, action_dim]``.
-            mask: what is not padding, ``[N, steps]``.
+            mask: 1 or True for steps that are not padding, ``[N, steps]``.
             noise: of the latent, ``[N, steps, latent_dim]``; None takes its mean.
             state: the denoiser's memory at the first observation; None at an episode's beginning.
         """

@@ -5,15 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from detden_lite.core.types import Trajectories
-from detden_lite.defense.detector import Detector
+from detden_lite.core.types import Detector, Trajectories
 
 
 def clean_scores(detector: Detector, trajectories: Trajectories, batch: int = 128) -> np.ndarray:
     """The scores that a detector gives to every observation of these trajectories, one after the other, ``[n]``.
 
     Args:
-        detector: is reset: the episodes that it remembers are gone.
+        detector: is reset, and so forgets the episodes under way.
         trajectories: clean ones, for a threshold.
         batch: episodes at once.
     """

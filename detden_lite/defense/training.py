@@ -1,9 +1,7 @@
 """Training a GRU-VAE, as detector (input = target) or denoiser (input = attacked, target = true), by its ELBO."""
 
-import io
-import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -11,19 +9,22 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from detden_lite.core.files import replace_file
+from detden_lite.core.arguments import check_between, check_positive, check_whole
 from detden_lite.core.random_streams import derived_seed
 from detden_lite.core.types import Trajectories
-from detden_lite.defense.augmentation import intermittent
-from detden_lite.defense.gruvae import GRUVAE, LEAST_STD, kl_divergence, reconstruction_loss
+from detden_lite.defense.augmentation import check_trajectories, intermittent
+from detden_lite.defense.checkpoint import Parts, resume, save_checkpoint
+from detden_lite.defense.gruvae import GRUVAE, LEAST_STD, State, kl_divergence, reconstruction_loss
 from detden_lite.defense.regularizer import Regularizer
+
+Pair = tuple[Trajectories, Trajectories]  # input and target
 
 
 @dataclass(frozen=True)
 class VAERecipe:
     """How a GRU-VAE is trained.
 
-    What is minimised is beta (-L_den) + lam R, with R of ``detden_lite.defense.regularizer``. The learning rate falls
+    The training minimises beta (-L_den) + lam R, with R of ``detden_lite.defense.regularizer``. The learning rate falls
     along half a cosine to zero at the last epoch; the paper says nothing of a schedule.
 
     Args:
@@ -32,18 +33,24 @@ class VAERecipe:
         latent: size of z.
         residual: whether the output is the input plus the decoder's.
         prior: "free" or "standard": see ``kl_divergence``.
-        beta: weight of the KL term: the variance of p(o | z, h) in z-scored units.
+        beta: weight of the KL term, at least 0: the variance of p(o | z, h) in z-scored units.
         epochs: times that every sequence is seen; at least 1.
         batch: sequences of a step; at least 1.
         chunk: time steps of truncated backpropagation, at least 1; the memory runs on from chunk to chunk.
-        learning_rate: of Adam, at the beginning.
-        lam: weight of the regularizer; 0 leaves it out.
-        least_share: the smallest share of an episode's steps that is attacked, 1 for all of them, drawn anew for each
-            sequence and epoch: see ``detden_lite.defense.augmentation.intermittent``.
-        least_size: the smallest perturbation, in parts of the attack's own.
+        learning_rate: of Adam, at the beginning; above 0.
+        lam: weight of the regularizer, at least 0, which leaves it out; below 0 R would be made large.
+        least_share: the smallest share of an episode's steps that is attacked, 1 for all of them. The share is random,
+            a new one for each sequence and epoch: see ``detden_lite.defense.augmentation.intermittent``.
+        least_size: the smallest perturbation, as a fraction of the attack's own.
 
     Raises:
         ValueError: for another prior, or a number out of these ranges.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> recipe = VAERecipe(hidden=8, latent=2, epochs=1)
+        >>> replace(recipe, residual=True).residual
+        True
     """
 
     hidden: int = 64
@@ -60,35 +67,29 @@ class VAERecipe:
     least_share: float = 1.0
     least_size: float = 1.0
 
-    def __post_init__(self):
-        for name in ("epochs", "batch", "chunk"):
-            if not getattr(self, name) >= 1:
-                raise ValueError(f"{name} must be at least 1, not {getattr(self, name)}")
-        for name in ("least_share", "least_size"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} must be between 0 and 1, not {getattr(self, name)}")
+    def __post_init__(self) -> None:
+        names = ("hidden", "layers", "latent", "epochs", "batch", "chunk")
+        check_whole(1, **{name: getattr(self, name) for name in names})
+        check_positive(learning_rate=self.learning_rate)
+        check_between(0, math.inf, beta=self.beta, lam=self.lam)
+        check_between(0, 1, least_share=self.least_share, least_size=self.least_size)
         if self.prior not in ("free", "standard"):
             raise ValueError(f'prior must be "free" or "standard", not {self.prior!r}')
-        if not self.lam >= 0:
-            raise ValueError(f"lam must be at least 0, not {self.lam}: R would be made large")
 
 
 def train_gruvae(
-    recipe: VAERecipe,
-    pairs: list[tuple[Trajectories, Trajectories]],
-    seed: int,
-    checkpoint: Path | None = None,
-    after_epoch: Callable[[int, GRUVAE], None] | None = None,
-    label: str = "GRU-VAE",
+    recipe: VAERecipe, pairs: Sequence[Pair], seed: int, checkpoint: Path | None = None,
+    after_epoch: Callable[[int, GRUVAE], None] | None = None, label: str = "GRU-VAE",
     regularizer: Regularizer | None = None,
-) -> GRUVAE:
+) -> GRUVAE:  # fmt: skip
     """Maximise the ELBO of L_det or L_den (section 3.1) over all pairs of (input, target) trajectories.
 
     Every epoch seeds torch's global generator by (seed, epoch), so that a run resumed from its checkpoint equals one
     that never stopped.
 
-    Observations are measured in their standard deviations. Where an attack moves one by more than ten of these, its own
-    value tells nothing: it is measured in the largest move instead, and a residual output leaves it out.
+    Observations are measured in their standard deviations. Some dimensions are dominated by the perturbation: an attack
+    moves them by more than ten of these, so that the input tells nothing of the truth. They are measured in the largest
+    perturbation instead, and a residual output does not add their input.
 
     Args:
         recipe: the hyperparameters.
@@ -104,24 +105,34 @@ def train_gruvae(
         The trained model, frozen.
 
     Raises:
-        ValueError: if the checkpoint is of another recipe or seed, or ``lam`` is above 0 and there is no regularizer.
+        ValueError: if the checkpoint is of another recipe or seed, ``lam`` is above 0 and there is no regularizer, or
+            ``pairs`` is empty, not finite, or pairs different trajectories.
+        ArtifactError: if the checkpoint is damaged.
+
+    Example:
+        >>> waves = np.sin(np.arange(60, dtype=np.float32)).reshape(4, 5, 3)
+        >>> normal = Trajectories(waves, lengths=np.array([5, 5, 4, 3]))
+        >>> detector = train_gruvae(VAERecipe(hidden=8, latent=2, epochs=1), [(normal, normal)], seed=0)
+        >>> detector.obs_dim, detector.training
+        (3, False)
     """
     if recipe.lam and regularizer is None:
         raise ValueError(f"regularizer: the recipe weighs it with lam = {recipe.lam}, so give one")
+    _check_pairs(pairs)
     torch.manual_seed(seed)
     target = pairs[0][1]
     seen = torch.from_numpy(target.obs[target.mask])
     mean, std = seen.mean(0), seen.std(0).clamp(min=LEAST_STD)
     moved = torch.from_numpy(_largest_moves(pairs))
-    drowned = moved > 10 * std
-    residual = recipe.residual
-    if residual and drowned.any():
-        residual = (~drowned).tolist()
+    dominated = moved > 10 * std
+    residual = (~dominated).tolist() if recipe.residual and dominated.any() else recipe.residual
     model = GRUVAE(target.obs.shape[-1], recipe.hidden, recipe.layers, recipe.latent, residual)
-    model.set_statistics(mean, torch.where(drowned, moved, std))
+    model.set_statistics(mean, torch.where(dominated, moved, std))
     optimizer = torch.optim.Adam(model.parameters(), lr=recipe.learning_rate)
-    identity = dict(asdict(recipe), seed=seed, regularizer=regularizer.settings if recipe.lam else None)
-    first = _resume(checkpoint, identity, model, optimizer) if checkpoint else 0
+    identity = dict(asdict(recipe), seed=seed, regularizer=regularizer.settings if regularizer and recipe.lam else None)
+    defaults = dict(asdict(VAERecipe()), regularizer=None)
+    parts: Parts = dict(model=model, optimizer=optimizer)
+    first = resume(checkpoint, identity, defaults, parts) if checkpoint else 0
     if first and after_epoch:
         after_epoch(first - 1, model)
 
@@ -139,29 +150,40 @@ def train_gruvae(
             ]
             bar.set_postfix(loss=f"{np.mean(losses):.4f}")
             if checkpoint:
-                _save(checkpoint, identity, epoch + 1, model, optimizer)
+                save_checkpoint(checkpoint, identity, epoch + 1, parts)
             if after_epoch:
                 after_epoch(epoch, model)
     return model.requires_grad_(False).eval()
 
 
-def _largest_moves(pairs: list[tuple[Trajectories, Trajectories]]) -> np.ndarray:
+def _check_pairs(pairs: Sequence[Pair]) -> None:
+    if not pairs:
+        raise ValueError("pairs is empty: give at least [(normal, normal)]")
+    for i, (inputs, targets) in enumerate(pairs):
+        check_trajectories(f"pairs[{i}]", targets, inputs)
+        if targets.obs.shape[1:] != pairs[0][1].obs.shape[1:]:
+            raise ValueError(f"pairs[{i}]: it has not the steps and observations of the first pair")
+
+
+def _largest_moves(pairs: Sequence[Pair]) -> np.ndarray:
     """The largest distance between an input and its target of each observation, ``[obs_dim]``."""
     return np.max([np.abs(a - b).max(0) for inputs, t in pairs for a, b in zip(inputs.obs, t.obs, strict=True)], axis=0)
 
 
-def _train_on(model: GRUVAE, optimizer, recipe: VAERecipe, pairs, batch: np.ndarray, regularizer) -> float:
-    def gather(side: int) -> np.ndarray:
-        return np.stack([pairs[p][side].obs[i] for p, i in batch])
-
-    inputs, targets = gather(0), gather(1)
+def _train_on(
+    model: GRUVAE, optimizer: torch.optim.Optimizer, recipe: VAERecipe, pairs: Sequence[Pair], batch: np.ndarray,
+    regularizer: Regularizer | None,
+) -> float:  # fmt: skip
+    """One gradient step a chunk on the sequences ``batch``, ``[n, 2]`` of pair and position; returns the mean loss."""
+    perturbed, true = (np.stack([pairs[p][side].obs[i] for p, i in batch]) for side in (0, 1))
     if (recipe.least_share, recipe.least_size) != (1, 1):
-        seed = int(torch.randint(2**31, ()))
-        inputs = intermittent(targets, inputs, recipe.least_share, recipe.least_size, seed)
-    inputs, targets = torch.from_numpy(inputs), torch.from_numpy(targets)
+        seed = torch.randint(2**31, ()).item()
+        perturbed = intermittent(true, perturbed, recipe.least_share, recipe.least_size, int(seed))
+    inputs, targets = torch.from_numpy(perturbed), torch.from_numpy(true)
     mask = torch.from_numpy(np.stack([np.arange(inputs.shape[1]) < pairs[p][1].lengths[i] for p, i in batch]))
     some = slice(math.ceil(len(batch) / len(pairs)))  # R is taken of as many sequences an epoch as D_normal has
-    state, total = None, 0.0
+    state: State | None = None
+    total = 0.0
     starts = range(0, int(mask.sum(1).max()), recipe.chunk)
     for start in starts:
         part = slice(start, start + recipe.chunk)
@@ -170,37 +192,14 @@ def _train_on(model: GRUVAE, optimizer, recipe: VAERecipe, pairs, batch: np.ndar
         loss = reconstruction_loss(model, result.output, targets[:, part])
         loss = loss + recipe.beta * kl_divergence(result.mean, result.log_variance, recipe.prior)
         loss = (loss * mask[:, part]).sum() / mask[:, part].sum()
-        if recipe.lam:  # with the memory of what the denoiser has seen up to here, attacked or not
-            memory = state and tuple(s[:, some].contiguous() for s in state)
+        if recipe.lam and regularizer:  # with the denoiser's memory of the earlier chunks, attacked or not
+            memory = state and (state[0][:, some].contiguous(), state[1][:, some].contiguous())
             r = regularizer(model, targets[some, part], mask[some, part], noise[some], memory)
             loss = loss + recipe.lam * r
-        state = tuple(s.detach() for s in result.state)
+        state = result.state[0].detach(), result.state[1].detach()
         optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
         optimizer.step()
         total += loss.item()
     return total / len(starts)
-
-
-def _save(path: Path, identity: dict, epochs: int, model: GRUVAE, optimizer) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    content = dict(
-        identity=json.dumps(identity), epochs=epochs, model=model.state_dict(), optimizer=optimizer.state_dict()
-    )
-    file = io.BytesIO()
-    torch.save(content, file)
-    replace_file(path, file.getvalue())
-
-
-def _resume(path: Path, identity: dict, model: GRUVAE, optimizer) -> int:
-    if not path.exists():
-        return 0
-    saved = torch.load(path, weights_only=True)
-    # What a checkpoint does not mention did not exist when it was written, and was what is now the default.
-    known = dict(asdict(VAERecipe()), regularizer=None) | json.loads(saved["identity"])
-    if known != json.loads(json.dumps(identity)):
-        raise ValueError(f"{path} is a checkpoint of another recipe ({saved['identity']}); remove it or take another")
-    model.load_state_dict(saved["model"])
-    optimizer.load_state_dict(saved["optimizer"])
-    return saved["epochs"]

@@ -4,10 +4,10 @@
     TV                        <=  sqrt(KL / 2)                       ``pinsker``
     KL                        <=  C_1 C_2 ||mu_2 - mu_1||^2          ``c_1``, ``c_2``
     ||mu_2 - mu_1||           <=  L ||o' - o||                       ``lipschitz_certified``
-    ||o' - o||                <=  max ||den(o_hat) - o||             ``detden_lite.worst_error``
+    ||o' - o||                <=  max ||den(o_hat) - o||             ``detden_lite.theory.worst_error``
 
-Here nu is the attacker with whatever defence stands behind him: the policy acts on nu(s) and the world goes on from s.
-The paper prints V_pi(o) - V_pi(o') on the left of the first line, which is another quantity and is not bounded so.
+Here nu is the attacker together with the defence, if there is one: the policy acts on nu(s) and the world goes on from
+s. The paper prints V_pi(o) - V_pi(o') on the left of the first line, which is another quantity and is not bounded so.
 """
 
 from math import inf, sqrt
@@ -15,6 +15,7 @@ from math import inf, sqrt
 import torch
 from torch import Tensor, nn
 
+from detden_lite.core.arguments import check_between
 from detden_lite.core.distances import mahalanobis
 from detden_lite.core.gradients import value_and_gradient
 from detden_lite.victims.victim import Victim
@@ -23,7 +24,7 @@ from detden_lite.victims.victim import Victim
 def kl_parts(mean_1: Tensor, cov_1: Tensor, mean_2: Tensor, cov_2: Tensor) -> tuple[Tensor, Tensor]:
     """The two terms of D_KL(N(mean_1, cov_1) || N(mean_2, cov_2)), which is their sum.
 
-    The first, 1/2 (log |cov_2| / |cov_1| - d + tr(cov_2^-1 cov_1)), does not know the means; the second,
+    The first, 1/2 (log |cov_2| / |cov_1| - d + tr(cov_2^-1 cov_1)), does not depend on the means; the second,
     1/2 (mean_2 - mean_1)^T cov_2^-1 (mean_2 - mean_1), is half the squared Mahalanobis distance.
 
     Args:
@@ -34,6 +35,11 @@ def kl_parts(mean_1: Tensor, cov_1: Tensor, mean_2: Tensor, cov_2: Tensor) -> tu
 
     Returns:
         A number and a tensor ``[...]``, neither of them negative.
+
+    Example:
+        >>> one = torch.eye(1)
+        >>> [term.item() for term in kl_parts(torch.zeros(1), one, torch.ones(1), one)]
+        [0.0, 0.5]
     """
     d = cov_1.shape[-1]
     log_ratio = torch.linalg.slogdet(cov_2).logabsdet - torch.linalg.slogdet(cov_1).logabsdet
@@ -44,10 +50,14 @@ def kl_parts(mean_1: Tensor, cov_1: Tensor, mean_2: Tensor, cov_2: Tensor) -> tu
 def total_variation(distance: Tensor) -> Tensor:
     """The total variation of two Gaussians of EQUAL covariance, exactly: 2 Phi(distance / 2) - 1.
 
-    Along the line through the means the densities cross half-way, and nothing happens across it.
+    The difference of the densities lies along the line through the means; half-way between them they cross.
 
     Args:
-        distance: the Mahalanobis distance of their means, any shape.
+        distance: the Mahalanobis distance of their means (not squared), any shape.
+
+    Example:
+        >>> total_variation(torch.tensor([0.0, 1.0, 10.0]))
+        tensor([0.0000, 0.3829, 1.0000])
     """
     return torch.erf(distance / (2 * sqrt(2)))
 
@@ -71,8 +81,19 @@ def c_1(cov_1: Tensor, cov_2: Tensor) -> float:
 
 
 def c_2(cov: Tensor) -> float:
-    """The smallest C_2 with x^T cov^-1 x <= C_2 ||x||^2 for all x: the largest eigenvalue of cov^-1, cov ``[d, d]``."""
-    return 1 / torch.linalg.eigvalsh(cov)[0].item()
+    """The smallest C_2 with x^T cov^-1 x <= C_2 ||x||^2 for all x: the largest eigenvalue of cov^-1, cov ``[d, d]``.
+
+    Raises:
+        ValueError: if ``cov`` is not positive definite.
+
+    Example:
+        >>> c_2(torch.diag(torch.tensor([4.0, 0.25])))
+        4.0
+    """
+    smallest = torch.linalg.eigvalsh(cov)[0].item()
+    if not smallest > 0:
+        raise ValueError(f"cov must be positive definite; its smallest eigenvalue is {smallest:.3g}")
+    return 1 / smallest
 
 
 def lipschitz_certified(victim: Victim) -> float:
@@ -101,7 +122,11 @@ def stretches(victim: Victim, obs: Tensor) -> Tensor:
     Returns:
         ``[N]``.
     """
-    rows = [value_and_gradient(lambda x, i=i: victim.mean(x)[:, i], obs)[1] for i in range(victim.action_dim)]
+
+    def gradient(i: int) -> Tensor:
+        return value_and_gradient(lambda x: victim.mean(x)[:, i], obs)[1]
+
+    rows = [gradient(i) for i in range(victim.action_dim)]
     return torch.linalg.matrix_norm(torch.stack(rows, 1), ord=2)  # of the Jacobians, [N, action_dim, obs_dim]
 
 
@@ -116,6 +141,10 @@ def alpha(gamma: float, reward_range: float) -> float:
 
     Raises:
         ValueError: for another gamma.
+
+    Example:
+        >>> alpha(gamma=0.5, reward_range=2.0)
+        8.0
     """
     return _checked(gamma, reward_range) / (1 - gamma) ** 2
 
@@ -130,7 +159,7 @@ def alpha_printed(gamma: float, reward_range: float) -> float:
 
 
 def most_that_can_be_lost(gamma: float, reward_range: float) -> float:
-    """What V_pi(s) - V_{pi o nu}(s) cannot exceed whatever happens: (R_max - R_min) / (1 - gamma)."""
+    """The limit that V_pi(s) - V_{pi o nu}(s) never exceeds: (R_max - R_min) / (1 - gamma)."""
     return _checked(gamma, reward_range) / (1 - gamma)
 
 
@@ -139,7 +168,15 @@ def coupled(tv: float, gamma: float, reward_range: float) -> float:
 
     Both robots can be run so that they act alike with probability 1 - TV at every step; the rewards of a step differ
     only if they have parted by then, and sum_t gamma^t (1 - (1 - TV)^(t + 1)) is this. ``alpha`` is its slope at 0.
+
+    Raises:
+        ValueError: for a ``tv`` that is not between 0 and 1, or another gamma.
+
+    Example:
+        >>> coupled(tv=1.0, gamma=0.5, reward_range=2.0) == most_that_can_be_lost(gamma=0.5, reward_range=2.0)
+        True
     """
+    check_between(0, 1, tv=tv)
     return most_that_can_be_lost(gamma, reward_range) * tv / (1 - gamma + gamma * tv)
 
 
@@ -148,18 +185,27 @@ def largest_gamma(tv: float) -> float:
 
     Put otherwise, the bound speaks only if the horizon 1 / (1 - gamma) is shorter than 1 / TV, the expected number of
     steps until the two robots part.
+
+    Raises:
+        ValueError: for a ``tv`` that is not between 0 and 1.
     """
+    check_between(0, 1, tv=tv)
     return max(0.0, 1 - tv)
 
 
 def beta(alpha: float, lipschitz: float, c_2: float, c_1: float = 0.5) -> float:
-    """The factor of the paper's theorem 1, alpha L sqrt(C_1 C_2 / 2). L and C_2 are those of pi, and so beta is too."""
+    """The factor of the paper's theorem 1, alpha L sqrt(C_1 C_2 / 2). L and C_2 are those of pi, and so beta is too.
+
+    Raises:
+        ValueError: for a negative factor.
+    """
+    check_between(0, inf, alpha=alpha, lipschitz=lipschitz, c_2=c_2, c_1=c_1)
     return alpha * lipschitz * sqrt(0.5 * c_1 * c_2)
 
 
 def _checked(gamma: float, reward_range: float) -> float:
     if not 0 <= gamma < 1:
         raise ValueError(f"gamma must be in [0, 1), not {gamma}: the values are sums of discounted rewards")
-    if reward_range < 0:
+    if not 0 <= reward_range < inf:
         raise ValueError(f"reward_range is the largest reward minus the smallest, not {reward_range}")
     return reward_range

@@ -9,7 +9,7 @@ from torch import Tensor
 from detden_lite.core.ascent import ascend
 from detden_lite.core.budget import Budget
 from detden_lite.core.random_streams import RandomStreams
-from detden_lite.defense.gruvae import GRUVAE
+from detden_lite.defense.gruvae import GRUVAE, State
 
 
 def worst_error(
@@ -32,6 +32,11 @@ def worst_error(
 
     Returns:
         The perturbed observations ``[N, obs_dim]`` and the error there ``[N]``, a lower estimate of the largest.
+
+    Example:
+        >>> _, error = worst_error(lambda perturbed: perturbed, torch.zeros(1, 4), Budget(0.5), RandomStreams(0))
+        >>> error  # the denoiser that does nothing errs most at a corner of the box, sqrt(4) / 2 away
+        tensor([1.])
     """
 
     def error(perturbed: Tensor) -> Tensor:
@@ -50,7 +55,8 @@ def worst_errors(
     The denoiser remembers the attacked episode, and takes the mean of its latent. The attacker seeks the largest error
     of the present step, and does not plan for the next.
     """
-    state, errors = None, []
+    state: State | None = None
+    errors = []
     for now in obs.unbind(1):
         found, error = worst_error(partial(_denoise, model, state), now, budget, streams, steps, restarts)
         with torch.no_grad():
@@ -59,5 +65,5 @@ def worst_errors(
     return torch.stack(errors, 1)
 
 
-def _denoise(model: GRUVAE, state, perturbed: Tensor) -> Tensor:
+def _denoise(model: GRUVAE, state: State | None, perturbed: Tensor) -> Tensor:
     return model(perturbed[:, None], state=state).output[:, 0]

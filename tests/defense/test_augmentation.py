@@ -5,11 +5,16 @@ from builders import BUDGET, HOPPER, NORMS, excess, make_victim, steady
 from hypothesis import given
 from hypothesis import strategies as st
 
+from detden_lite.attacks.noise import UniformNoise
 from detden_lite.attacks.opposite import OppositeAttack, opposite_objective
 from detden_lite.attacks.qfunction import QFunctionAttack, q_objective
 from detden_lite.core.budget import Budget
 from detden_lite.core.random_streams import RandomStreams
+from detden_lite.core.types import Trajectories
 from detden_lite.defense.augmentation import augment, intermittent
+from detden_lite.defense.autoencoder import train_autoencoder
+from detden_lite.defense.linear_models import Gaussian, LinearModel
+from detden_lite.defense.training import VAERecipe, train_gruvae
 from detden_lite.simulation.collection import collect_normal
 from detden_lite.simulation.rollout import rollout
 
@@ -85,6 +90,44 @@ def test_an_attack_that_needs_the_environment_is_refused(victim, normal):
         augment(normal, Planner(victim, BUDGET))
 
 
+@pytest.mark.parametrize("attack", ["opposite", None, OppositeAttack])
+def test_an_attack_that_is_none_is_refused_by_name(normal, attack):
+    with pytest.raises(ValueError, match="attack: give an attack such as"):
+        augment(normal, attack)
+
+
+OBS = np.zeros((3, 5, 2), np.float32)
+
+
+@pytest.mark.parametrize(
+    ("trajectories", "message"),
+    [
+        (Trajectories(OBS, np.array([1, 5, 6])), "lengths must be 3 whole numbers from 1 to 5"),
+        (Trajectories(OBS, np.array([1, 0, 5])), "lengths must be"),
+        (Trajectories(OBS, np.array([5, 5])), "lengths must be"),
+        (Trajectories(OBS, np.array([1.0, 2.5, 5.0])), "lengths must be"),
+        (Trajectories(OBS[0], np.array([5, 5, 5])), "obs must be float32"),
+        (Trajectories(OBS[:0], np.array([], int)), "obs must be float32"),
+        (Trajectories(OBS.astype(np.float64), np.array([5, 5, 5])), "obs must be float32"),
+        (Trajectories(np.where(np.arange(5)[:, None] == 4, np.nan, OBS), np.array([3, 3, 3])), "NaN or infinity"),
+        (Trajectories(OBS + np.float32(np.nan), np.array([5, 5, 5])), "NaN or infinity"),
+        (Trajectories(OBS + np.float32(np.inf), np.array([5, 5, 5])), "NaN or infinity"),
+    ],
+)
+def test_nothing_is_learned_from_broken_trajectories(trajectories, message):
+    recipe = VAERecipe(hidden=2, latent=2, epochs=1)
+    for name, learn in dict(
+        normal=lambda: augment(trajectories, UniformNoise(BUDGET)),
+        inputs=lambda: train_autoencoder(trajectories, [trajectories], 0),
+        pairs=lambda: train_gruvae(recipe, [(trajectories, trajectories)], 0),
+    ).items():
+        with pytest.raises(ValueError, match=f"{name}.*{message}"):
+            learn()
+    for fit in (Gaussian.fit, LinearModel.fit):
+        with pytest.raises(ValueError, match=f"normal.*{message}"):
+            fit(trajectories)
+
+
 SHAPE = (400, 100, 3)
 TRUE = np.random.default_rng(0).normal(size=SHAPE).astype(np.float32)
 
@@ -140,7 +183,11 @@ def test_of_clean_sequences_nothing_is_attacked():
     assert np.array_equal(intermittent(TRUE, TRUE, 0.5, 0.5), TRUE)
 
 
-@pytest.mark.parametrize("arguments", [dict(least_share=-0.1), dict(least_size=1.1), dict(run=0)])
-def test_a_mixture_that_is_none_is_refused(arguments):
+@pytest.mark.parametrize(
+    "arguments",
+    [dict(least_share=-0.1), dict(least_share=float("nan")), dict(least_size=1.1), dict(run=0), dict(run=1.5),
+     dict(adversarial=TRUE[1:]), dict(adversarial=TRUE[..., :2])],
+)  # fmt: skip
+def test_a_mixture_that_makes_no_sense_is_refused_by_name(arguments):
     with pytest.raises(ValueError, match=next(iter(arguments))):
-        intermittent(TRUE, TRUE, **arguments)
+        intermittent(**dict(normal=TRUE, adversarial=TRUE) | arguments)

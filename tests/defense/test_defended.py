@@ -1,5 +1,9 @@
 """A defended policy predicts as its parts do by hand, whoever asks and for how many episodes at once."""
 
+import copy
+import pickle
+import threading
+
 import numpy as np
 import pytest
 import torch
@@ -108,15 +112,79 @@ def test_stable_baselines3_evaluates_it_as_a_model_of_its_own():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (dict(obs=np.zeros(3)), r"obs: its shape must be \[4\] or \[N, 4\], not \[3\]"),
-        (dict(obs=np.zeros((1, 5, 4))), r"obs: its shape must be"),
+        (dict(obs=np.zeros(3)), r"obs must be numbers \[4\] or \[N >= 1, 4\], not \[3\]"),
+        (dict(obs=np.zeros((1, 5, 4))), r"obs must be"),
+        (dict(obs=np.zeros((0, 4))), r"obs must be"),
+        (dict(obs=1.0), r"obs must be"),
+        (dict(obs="left"), r"obs must be"),
         (dict(obs=np.zeros((2, 4))), r"obs: it is of 2 episodes, and 5 are under way; call reset"),
         (dict(obs=np.full((5, 4), np.nan)), "obs holds NaN"),
         (dict(obs=OBS[0], episode_start=[True]), "episode_start: it must have one entry for each of the 5 episodes"),
     ],
 )
-def test_what_does_not_fit_is_refused(call, message):
-    policy = make_defended()
-    policy.predict(OBS[0])
+def test_observations_that_do_not_fit_are_refused(call, message):
+    policy, beside = make_defended(), make_defended()
+    policy.predict(OBS[0]), beside.predict(OBS[0])
     with pytest.raises(ValueError, match=message):
         policy.predict(**call)
+    assert np.array_equal(policy.predict(OBS[1])[0], beside.predict(OBS[1])[0])  # and change nothing
+
+
+def test_an_episode_may_start_after_the_first_prediction_failed():
+    policy = make_defended()
+    with pytest.raises(ValueError, match="NaN"):
+        policy.predict(np.full((2, 4), np.nan))
+    assert policy.predict(OBS[0, :2], episode_start=[False, True])[0].shape == (2, 1)
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ((make_victim(), TASK, make_defense(4)), "victim: .*InvertedPendulum-v5"),
+        ((VICTIM, TASK, make_defense(11)), "defense: it is for 11 observations, and InvertedPendulum-v5 has 4"),
+    ],
+)
+def test_parts_of_another_task_are_refused(parts, message):
+    with pytest.raises(ValueError, match=message):
+        Defended(*parts)
+
+
+def test_a_second_thread_is_refused_and_leaves_the_first_undisturbed():
+    class Slow(type(VICTIM)):
+        """Waits inside ``predict`` until the other thread has tried."""
+
+        def forward(self, obs):
+            inside.set()
+            assert may_go_on.wait(60)
+            return super().forward(obs)
+
+    inside, may_go_on, found = threading.Event(), threading.Event(), []
+    victim = Slow(**VICTIM.config)
+    victim.load_state_dict(VICTIM.state_dict())
+    policy = make_defended(victim)
+    thread = threading.Thread(target=lambda: found.append(policy.predict(OBS[0])[0]))
+    thread.start()
+    assert inside.wait(60)
+    try:
+        for enter in (lambda: policy.predict(OBS[1]), policy.reset):
+            with pytest.raises(RuntimeError, match="two threads .* make one Defended for each loop"):
+                enter()
+    finally:
+        may_go_on.set()
+        thread.join()
+    assert np.array_equal([*found, policy.predict(OBS[1])[0]], predict(make_defended(), OBS[:2]))
+
+
+def test_a_copy_goes_on_from_the_same_memory_alone():
+    policy = make_defended()
+    policy.predict(OBS[0])
+    copies = [copy.deepcopy(policy), pickle.loads(pickle.dumps(policy))]
+    expected = policy.predict(OBS[1])[0]
+    for made in copies:
+        assert np.array_equal(made.predict(OBS[1])[0], expected)
+
+
+@pytest.mark.parametrize(("gaussian", "algorithm"), [(False, "TD3"), (True, "PPO")])
+def test_its_text_names_task_algorithm_and_defence(gaussian, algorithm):
+    text = repr(make_defended(make_victim(TASK, gaussian=gaussian)))
+    assert text == f"Defended(InvertedPendulum-v5, {algorithm}, DetectAndDenoise(Detector > 1.5, Denoiser))"

@@ -7,7 +7,9 @@ from hypothesis import strategies as st
 
 from detden_lite.core.metrics import detector_scores
 from detden_lite.core.types import Trajectories
+from detden_lite.defense.baselines import MahalanobisDetector, PredictionDetector
 from detden_lite.defense.detector import Detector, linf_score
+from detden_lite.defense.linear_models import Gaussian, LinearModel
 from detden_lite.defense.thresholds import calibrate, clean_scores, conformal_threshold, tuned_threshold
 
 
@@ -38,6 +40,23 @@ def test_an_alarm_is_a_score_above_the_threshold():
     detector = Detector(model, float(score.sort().values[30]))
     detector.reset(range(50))
     assert detector.step(obs)[1].sum() == 19  # not the one that equals it
+
+
+@pytest.mark.parametrize("threshold", [float("nan"), "high", None])
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda threshold: Detector(make_gruvae(), threshold),
+        lambda threshold: MahalanobisDetector(Gaussian(torch.zeros(1), torch.eye(1)), threshold),
+        lambda threshold: PredictionDetector(
+            LinearModel(torch.eye(1), *(torch.eye(1),) * 2, torch.zeros(1)), threshold
+        ),
+    ],
+)
+def test_a_threshold_that_is_no_number_is_refused(make, threshold):
+    with pytest.raises(ValueError, match="threshold must be a number"):
+        make(threshold)
+    assert make(float("inf")).threshold == np.inf and make(np.float32(2)).threshold == 2
 
 
 def test_memory_begins_anew_at_reset_and_only_there():

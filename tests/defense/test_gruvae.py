@@ -95,6 +95,18 @@ def test_a_residual_output_may_leave_observations_out():
     assert torch.equal(some, torch.where(torch.tensor(added), every, none)) and not torch.equal(every, none)
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("obs_dim", 0), ("hidden", 0), ("layers", -1), ("latent", 0), ("hidden", 1.5), ("latent", "64"),
+        ("residual", [True, False]),
+    ],
+)  # fmt: skip
+def test_sizes_that_make_no_sense_are_refused_by_name(name, value):
+    with pytest.raises(ValueError, match=name):
+        GRUVAE(**dict(obs_dim=3) | {name: value})
+
+
 def test_kl_divergence_is_that_of_torch():
     mean, log_variance = normal(3, 4, 6), normal(3, 4, 6, seed=1)
     q = Normal(mean, (0.5 * log_variance).exp())

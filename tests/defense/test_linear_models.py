@@ -65,8 +65,8 @@ def test_a_ridge_that_is_none_is_refused(fit, ridge):
 
 
 def test_episodes_of_one_observation_say_nothing_of_what_follows():
-    with pytest.raises(ValueError, match="normal"):
-        LinearModel.fit(Trajectories(np.zeros((3, 5, 2), np.float32), np.array([1, 0, 1])))
+    with pytest.raises(ValueError, match="normal: no trajectory has two"):
+        LinearModel.fit(Trajectories(np.zeros((3, 5, 2), np.float32), np.array([1, 1, 1])))
 
 
 @steady

@@ -2,8 +2,10 @@ import pytest
 import torch
 from builders import BUDGET, make_defense, make_gruvae, normal
 
+from detden_lite.defense.baselines import Identity
 from detden_lite.defense.denoiser import Denoiser
 from detden_lite.defense.detector import Detector
+from detden_lite.defense.oracles import OracleDetector
 from detden_lite.defense.pipeline import DetectAndDenoise
 
 
@@ -80,6 +82,28 @@ def test_no_episode_or_other_episodes_than_those_under_way_are_refused_and_forgo
     with pytest.raises(ValueError, match="obs has 1 rows, but 2 episodes are under way"):
         defense(obs[:1, 0])
     assert all(torch.equal(defense(o).obs, v.obs) for o, v in zip(obs.unbind(1), expected, strict=True))
+
+
+@pytest.mark.parametrize("obs", [normal(2, 17), normal(2, 11).double(), normal(11), torch.zeros(2, 11).int()])
+def test_observations_of_another_shape_or_type_are_refused(obs):
+    defense = make_defense()
+    defense.reset(range(2))
+    with pytest.raises(ValueError, match=r"obs must be a float32 tensor \[2, 11\]"):
+        defense(obs)
+
+
+def test_parts_of_two_sizes_are_refused_and_parts_of_any_size_are_not():
+    with pytest.raises(ValueError, match="denoiser: its observations have 17 numbers, and the detector's 11"):
+        DetectAndDenoise(make_defense(11).detector, make_defense(17).denoiser)
+    assert DetectAndDenoise(OracleDetector(), make_defense(17).denoiser).obs_dim == 17
+    assert DetectAndDenoise(OracleDetector(), Identity()).obs_dim is None
+
+
+def test_its_text_names_both_parts_and_all_ablations():
+    detector = make_defense(threshold=1.5).detector
+    assert repr(DetectAndDenoise(detector, Identity())) == "DetectAndDenoise(Detector > 1.5, Identity)"
+    ablated = repr(DetectAndDenoise(detector, None, always=True, budget=BUDGET))
+    assert ablated == "DetectAndDenoise(Detector > 1.5, None, always, projected, detector_only)"
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
