@@ -57,7 +57,7 @@ _FACE = {
     "attacks.printed": "PrintedAttack",
     "attacks.informed": "View view_defense",
     "attacks.search": "climb evolve",
-    "attacks.linear_search": "LinearMaps elite_weights",
+    "recipe.linear_search": "LinearMaps elite_weights",
     "attacks.adversary_world": "AdversaryEnv",
     "attacks.timing": "After Always Random Vulnerable",
     "attacks.threat": "Threat",
@@ -86,7 +86,7 @@ _FACE = {
 }
 # Modules that are offered whole, since their names are short and belong together.
 _MODULES = (
-    "attacks.catalogue", "attacks.sanity", "theory.bound", "results.adaptive_attacks", "results.bare_victims",
+    "attacks.catalogue", "recipe.sanity", "theory.bound", "results.adaptive_attacks", "results.bare_victims",
     "results.defended_victims", "results.paper", "results.published", "results.victim_cards", "looking.figures",
     "looking.films", "defense.variants", "recipe.bound_along_training", "recipe.latent_noise",
 )  # fmt: skip

@@ -1,35 +1,43 @@
-"""The stages that make a victim's adversaries: train a grid of them, search for a linear one, choose, and ship."""
+"""The stages that make a victim's adversaries: train a grid of them, search for a linear one, and choose."""
+
+from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
-from detden_lite.attacks import linear_search
-from detden_lite.attacks.linear_search import LinearMaps, LinearRecipe
 from detden_lite.attacks.optimal import OptimalAttack
+from detden_lite.core.types import Attack, Timing
+from detden_lite.defense.pipeline import DetectAndDenoise
 from detden_lite.defense.variants import MAIN
-from detden_lite.recipe import episode_seeds
+from detden_lite.recipe import episode_seeds, linear_search
+from detden_lite.recipe.linear_search import LinearMaps, LinearRecipe
 from detden_lite.recipe.run import Run
+from detden_lite.recipe.scales import Scale
 from detden_lite.simulation.rollout import rollout
 from detden_lite.store import manifest, models, tensors
 from detden_lite.victims import selection, training
 from detden_lite.victims.recipes import AdversaryRecipe
 from detden_lite.victims.victim import Victim
 
+if TYPE_CHECKING:
+    from stable_baselines3.common.vec_env import VecEnv
+
 SCREENING, SELECTION = 5, 32  # episodes of each snapshot
 
 _NAMES = {False: "adversary", True: "defended-adversary"}  # of the checkpoints' folders
 
 
-def train_member(run: Run, member: int, defended: bool = False) -> None:
-    """Train one member of the grid by PPO; its snapshots are kept in the run's checkpoints.
+def train_member(run: Run[Scale], member: int, defended: bool = False) -> None:
+    """The stage: train one member of the grid by PPO; its snapshots are stored in the run's checkpoints.
 
     Args:
         run: where.
         member: its place in the grid.
-        defended: whether the victim has its main defence meanwhile: the optimal adaptive attack (appendix B).
+        defended: whether the victim has its main defence during the training: the optimal adaptive attack (appendix B).
 
     Raises:
         ValueError: if the grid has no such member.
@@ -43,20 +51,20 @@ def train_member(run: Run, member: int, defended: bool = False) -> None:
         raise ValueError(f"member must be between 0 and {len(grid) - 1} at this scale, not {member}")
     victim, threat = run.victim(), run.threat()
 
-    def worlds(n: int):
+    def worlds(n: int) -> VecEnv:
         timing = threat.timing(grid[member].timing, victim)
         defense = run.defense(MAIN) if defended else None
         return VecMonitor(AdversaryEnv(victim, run.task, run.budget, n, timing, defense, run.scale.horizon))
 
     folder = run.folder / "checkpoints" / f"{_NAMES[defended]}-{member}"
-    about = dict(c_vul=threat.c_vul) if grid[member].timing == "vulnerable" else {}
+    about: dict[str, object] = dict(c_vul=threat.c_vul) if grid[member].timing == "vulnerable" else {}
     if defended:
         about |= dict(defense=MAIN, denoiser=manifest.promised(run.folder / f"denoiser-{MAIN}.safetensors", run.root))
     training.train(run.task, grid[member], member, folder, worlds, _about(run) | about)
 
 
-def choose(run: Run, defended: bool = False) -> None:
-    """Ship the member's snapshot that leaves the victim the least, striking always and where it is vulnerable.
+def choose(run: Run[Scale], defended: bool = False) -> None:
+    """The stage: store the snapshot that leaves the victim the smallest return, attacking always and where vulnerable.
 
     Args:
         run: where.
@@ -67,11 +75,16 @@ def choose(run: Run, defended: bool = False) -> None:
     """
     folders = sorted((run.folder / "checkpoints").glob(f"{_NAMES[defended]}-*"))
     kind, defense = ("adaptive-optimal", run.defense(MAIN)) if defended else ("optimal", None)
-    _ship(run, kind, AdversaryRecipe, folders, ("always", "vulnerable"), defense)
+    _store(run, kind, AdversaryRecipe, folders, ("always", "vulnerable"), defense)
 
 
-def search_linear(run: Run, seed: int = 0) -> None:
-    """Search for a linear adversary, and ship the generation's mean that leaves the victim the least."""
+def search_linear(run: Run[Scale], seed: int = 0) -> None:
+    """The stage: search for a linear adversary, and store the generation's mean that leaves the smallest return.
+
+    Args:
+        run: where.
+        seed: of the search.
+    """
     recipe, victim, normal = run.scale.linear, run.victim(), 8
     clean = rollout(victim, run.task, episode_seeds.seeds("search", normal), steps=run.scale.horizon)
     played = episode_seeds.seeds("search", normal + recipe.generations * recipe.episodes)[normal:]
@@ -86,18 +99,25 @@ def search_linear(run: Run, seed: int = 0) -> None:
 
     folder = run.folder / "checkpoints" / "linear"
     linear_search.search(recipe, run.task, seed, folder, clean.obs[clean.mask], measure, _about(run))
-    _ship(run, "linear", LinearRecipe, [folder], ("always",))
+    _store(run, "linear", LinearRecipe, [folder], ("always",))
 
 
-def _about(run: Run) -> dict:
-    """Whom the adversary learned to harm, and what it may do."""
+def _about(run: Run[Scale]) -> dict[str, object]:
+    """Which victim the adversary learned to harm, and within which ball."""
     victim = manifest.promised(run.folder / "victim.safetensors", run.root)
     return dict(
         algo=run.algo, victim=victim, epsilon=run.budget.epsilon, norm=str(run.budget.norm), horizon=run.scale.horizon
     )
 
 
-def _ship(run: Run, kind: str, recipe: type, folders: Iterable[Path], timings: Sequence[str], defense=None) -> None:
+def _store(
+    run: Run[Scale],
+    kind: str,
+    recipe: type,
+    folders: Iterable[Path],
+    timings: Sequence[str],
+    defense: DetectAndDenoise | None = None,
+) -> None:
     """Choose by the mean over timings, on episodes that nothing else uses. Records of another adversary are removed."""
     folders = [folder for folder in folders if any((folder / "snapshots").glob("*.safetensors"))]
     if not folders:
@@ -107,13 +127,14 @@ def _ship(run: Run, kind: str, recipe: type, folders: Iterable[Path], timings: S
     seeds = episode_seeds.seeds("adversary", SCREENING + n)
     episodes = dict(screening=seeds[:SCREENING], selection=seeds[SCREENING:])
 
-    def play(purpose: str, **attacked) -> np.ndarray:
-        played = dict(defense=defense, steps=run.scale.horizon)
-        return rollout(victim, run.task, episodes[purpose], **played, **attacked).returns
+    def play(purpose: str, attack: Attack | None = None, timing: Timing | None = None) -> np.ndarray:
+        return rollout(
+            victim, run.task, episodes[purpose], attack=attack, timing=timing, defense=defense, steps=run.scale.horizon
+        ).returns
 
     def mean(adversary: Victim, purpose: str) -> float:
         attack = OptimalAttack(adversary, run.budget)
-        return float(np.mean([play(purpose, attack=attack, timing=threat.timing(name, victim)) for name in timings]))
+        return float(np.mean([play(purpose, attack, threat.timing(name, victim)) for name in timings]))
 
     chosen = selection.choose(run.task, recipe, folders, mean, sign=-1, n=5)
     sidecar = dict(

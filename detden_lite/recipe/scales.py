@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from detden_lite.attacks.linear_search import LinearRecipe
 from detden_lite.core.tasks import ALGORITHMS, SCALES, Task
 from detden_lite.defense.training import VAERecipe
+from detden_lite.recipe.linear_search import LinearRecipe
 from detden_lite.victims.critic import QRecipe
 from detden_lite.victims.recipes import AdversaryRecipe, PPORecipe, TD3Recipe
 

@@ -13,7 +13,6 @@ from detden_lite.attacks.adaptive import AdaptiveAttack, CoupledAttack, Gradient
 from detden_lite.attacks.adversary_world import AdversaryEnv
 from detden_lite.attacks.attacked_observations import AttackedObservations
 from detden_lite.attacks.enchanting import EnchantingAttack
-from detden_lite.attacks.linear_search import LinearMaps, LinearRecipe
 from detden_lite.attacks.noise import GaussianNoise, UniformNoise
 from detden_lite.attacks.opposite import OppositeAttack
 from detden_lite.attacks.optimal import OptimalAttack
@@ -24,6 +23,7 @@ from detden_lite.attacks.timing import After, Random, Vulnerable
 from detden_lite.core.budget import Budget
 from detden_lite.core.tasks import get_task
 from detden_lite.core.types import World
+from detden_lite.recipe.linear_search import LinearMaps
 from detden_lite.victims.victim import Victim
 
 VICTIM, WALKER = make_victim(), make_victim(get_task("walker2d"))
@@ -79,13 +79,6 @@ SENSELESS = [  # what to make, and the argument that the error must name
     (lambda: make_world(victim=WALKER), "victim"),
     (lambda: make_world(timing="always"), "timing"),
     (lambda: make_world(defense="mixed"), "defense"),
-    *(
-        (lambda a=argument, v=value: LinearRecipe(**{a: v}), argument)
-        for argument in ("generations", "population", "elites", "episodes")
-        for value in NO_NUMBERS
-    ),
-    *((lambda v=v: LinearRecipe(spread=v), "spread") for v in (0, -1, nan, inf)),
-    *((lambda v=v: LinearRecipe(floor=v), "floor") for v in (-0.1, 1.1, nan)),
     *(
         (lambda a=argument, v=value: Threat(BUDGET, **{a: v}), argument)
         for argument, value in (

@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from detden_lite.attacks import catalogue
-from detden_lite.attacks.linear_search import elite_weights
 from detden_lite.attacks.opposite import OppositeAttack, opposite_objective
 from detden_lite.core.ascent import ascend
 from detden_lite.core.budget import Budget
@@ -23,6 +22,7 @@ from detden_lite.defense.detector import linf_score
 from detden_lite.defense.gruvae import kl_divergence
 from detden_lite.defense.pipeline import DetectAndDenoise
 from detden_lite.recipe import episode_seeds
+from detden_lite.recipe.linear_search import elite_weights
 from detden_lite.results import paper
 from detden_lite.simulation.rollout import rollout
 from detden_lite.store.models import load_model, load_victim

@@ -1,5 +1,6 @@
 from dataclasses import replace
 from itertools import product
+from math import inf, nan
 
 import numpy as np
 import pytest
@@ -7,10 +8,10 @@ import torch
 from builders import HOPPER, normal
 from safetensors.torch import load_file
 
-from detden_lite.attacks.linear_search import LinearMaps, LinearRecipe, elite_weights, fit, search
 from detden_lite.attacks.optimal import OptimalAttack
 from detden_lite.core.budget import Budget
 from detden_lite.core.tasks import Task
+from detden_lite.recipe.linear_search import LinearMaps, LinearRecipe, elite_weights, fit, search
 from detden_lite.simulation.rollout import rollout
 from detden_lite.victims.victim import Victim
 
@@ -141,7 +142,15 @@ def test_a_folder_with_another_search_is_refused(tmp_path, change):
         search(replace(recipe, **change), TOY, seed, tmp_path, CLEAN, measure, about)
 
 
-@pytest.mark.parametrize("elites", [0, 65])
-def test_elites_must_be_among_the_population(elites):
-    with pytest.raises(ValueError, match="elites"):
-        LinearRecipe(elites=elites)
+@pytest.mark.parametrize(
+    ("argument", "value"),
+    [
+        *product(("generations", "population", "elites", "episodes"), (0, -1, 1.5, nan, "many")),
+        *product(("spread",), (0, -1, nan, inf)),
+        *product(("floor",), (-0.1, 1.1, nan)),
+        ("elites", 65),
+    ],
+)
+def test_senseless_sizes_are_named(argument, value):
+    with pytest.raises(ValueError, match=argument):
+        LinearRecipe(**{argument: value})

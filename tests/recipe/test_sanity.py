@@ -7,9 +7,9 @@ from builders import HOPPER
 
 from detden_lite.attacks.opposite import OppositeAttack
 from detden_lite.attacks.qfunction import QFunctionAttack, q_objective
-from detden_lite.attacks.sanity import RuleCheck, check_attack
 from detden_lite.core.budget import Budget
 from detden_lite.recipe.episode_seeds import seeds
+from detden_lite.recipe.sanity import RuleCheck, check_attack
 from detden_lite.store.models import load_victim
 
 EPISODES = seeds("tuning", 8)
