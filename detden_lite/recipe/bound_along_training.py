@@ -7,48 +7,59 @@ from torch import Tensor
 from detden_lite.core import metrics
 from detden_lite.core.distances import mahalanobis
 from detden_lite.core.random_streams import RandomStreams
-from detden_lite.core.types import Episodes
+from detden_lite.core.types import Attack, Defense, Detector, Episodes
 from detden_lite.defense.denoiser import Denoiser
-from detden_lite.defense.detector import Detector
 from detden_lite.defense.gruvae import GRUVAE
 from detden_lite.defense.pipeline import DetectAndDenoise
 from detden_lite.recipe import defense_stages
 from detden_lite.recipe.episode_seeds import seeds
 from detden_lite.recipe.run import Run
+from detden_lite.recipe.scales import DefenseScale, Scale
 from detden_lite.simulation.rollout import rollout
 from detden_lite.store import manifest
 from detden_lite.theory import bound
 from detden_lite.theory.worst_error import worst_errors
 from detden_lite.victims.victim import Victim
 
-NOISE = 0.2  # on a TD3 victim's actions, in units of half their range: without noise the total variation is 0 or 1
+NOISE = 0.2  # on a TD3 victim's actions, in units of half their range; without noise the total variation is 0 or 1
 
 GAMMA = 0.99
 
-STEPS, ATTACKED = 150, (4, 60)  # of an episode in the loop; episodes and steps along which the denoiser is attacked
+STEPS = 150  # of an episode in the loop
+ATTACKED = (4, 60)  # episodes and steps along which the denoiser is attacked
 
 
 def discounted(episodes: Episodes, gamma: float = GAMMA) -> np.ndarray:
-    """The discounted return of each episode, ``[N]``: the values of their starts, cut off where they end."""
+    """The discounted return of each episode, ``[N]``: the value of its start, cut off where the episode ends.
+
+    Example:
+        >>> from detden_lite import get_task, load_victim, rollout
+        >>> from detden_lite.recipe.bound_along_training import discounted
+        >>> episodes = rollout(load_victim("hopper", "td3"), get_task("hopper"), range(2), steps=3)
+        >>> bool((discounted(episodes, 1.0).round(4) == episodes.returns.round(4)).all())
+        True
+    """
     weights = gamma ** np.arange(len(episodes.reward))[:, None]
     return (weights * episodes.reward * episodes.mask).sum(0)
 
 
 def noise_of(victim: Victim) -> Tensor:
-    """The actions' standard deviation ``[action_dim]`` that the bound is about: PPO's own, or ``NOISE`` for TD3."""
+    """The standard deviation of the actions in the bound, ``[action_dim]``: PPO's own, or ``NOISE`` for TD3."""
     half = (victim.action_high - victim.action_low) / 2
     return NOISE * half if victim.action_std is None else victim.action_std
 
 
 def total_variations(victim: Victim, episodes: Episodes) -> Tensor:
-    """Exact TV between the actions for what was true and for what was shown, of each step, ``[n]``."""
+    """The exact total variation between the actions for the true and the shown observation of each step, ``[n]``."""
     true, shown = (torch.from_numpy(x[episodes.mask]) for x in (episodes.obs, episodes.shown))
     squared = mahalanobis(victim.mean(true), victim.mean(shown), std=noise_of(victim))
     return bound.total_variation(squared.sqrt())
 
 
-def play(run: Run, victim: Victim, n: int, attack=None, defense=None) -> Episodes:
-    """Noisy episodes on tuning seeds."""
+def play(
+    run: Run[DefenseScale], victim: Victim, n: int, attack: Attack | None = None, defense: Defense | None = None
+) -> Episodes:
+    """n tuning episodes with noise on the actions."""
     half = (victim.action_high - victim.action_low) / 2
     noise = (noise_of(victim) / half).expand(n, -1).numpy()
     steps = min(STEPS, run.scale.horizon)
@@ -58,18 +69,21 @@ def play(run: Run, victim: Victim, n: int, attack=None, defense=None) -> Episode
 
 
 @torch.no_grad()
-def both_sides(run: Run, model: GRUVAE, detector: Detector, clean: Episodes) -> dict[str, float | list[float]]:
-    """What a denoiser does to the right side of theorem 1 and to the left, ready for JSON.
+def both_sides(
+    run: Run[DefenseScale], model: GRUVAE, detector: Detector, clean: Episodes
+) -> dict[str, float | list[float]]:
+    """The right side and the left side of theorem 1 for one denoiser, ready for JSON.
 
     Args:
-        run: whose victim it is.
-        model: of the denoiser, which is always on.
-        detector: beside it, which has no say.
-        clean: episodes that nobody attacks, from ``play``.
+        run: with the victim.
+        model: of the denoiser, which is used at every step.
+        detector: beside it; its alarms have no effect.
+        clean: unattacked episodes from ``play``.
 
     Returns:
-        ``error``: the largest that an attack on the denoiser finds, and its ``median`` over the steps; of the loop
-        under the opposite attack the denoiser's ``mae``, the median ``tv``, and the value ``lost`` in each episode.
+        ``error``, the largest error that an attack on the denoiser finds, and its ``median`` over the steps. For the
+        loop under the opposite attack the denoiser's ``mae``, the median ``tv``, and the value ``lost`` in each
+        episode.
     """
     victim, (n, steps) = run.victim(), ATTACKED
     recorded = torch.from_numpy(clean.obs[:steps, :n]).swapaxes(0, 1)
@@ -85,8 +99,14 @@ def both_sides(run: Run, model: GRUVAE, detector: Detector, clean: Episodes) -> 
     )
 
 
-def measure_along_training(run: Run, variant: str = "residual", n: int = 32) -> None:
-    """The stage: ``curve.json``, both sides after each epoch of a variant's training, which is done once more."""
+def measure_along_training(run: Run[Scale], variant: str = "residual", n: int = 32) -> None:
+    """The stage: ``curve.json``, both sides after each epoch of a variant's training, which is repeated for this.
+
+    Args:
+        run: where.
+        variant: a key of ``VARIANTS``.
+        n: the number of episodes, unless the scale reports fewer.
+    """
     path = run.folder / "curve.json"
     if manifest.is_made(path, run.root):
         return

@@ -1,4 +1,4 @@
-"""Stages that make a defence. Each makes what is missing, so that running it again resumes it."""
+"""The stages that make a defence. Each makes what is missing: running it again resumes it."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
@@ -14,17 +14,26 @@ from detden_lite.defense.training import train_gruvae
 from detden_lite.defense.variants import DATASETS, VARIANTS
 from detden_lite.recipe import episode_seeds
 from detden_lite.recipe.run import ADVERSARIAL, Run
+from detden_lite.recipe.scales import DefenseScale
 from detden_lite.recipe.trajectories import load_shard, load_trajectories, save_shard, shards
 from detden_lite.simulation import collection
 from detden_lite.store import manifest, models
 
-# Of clean steps. A miss costs more than a false alarm if the denoiser leaves clean observations alone: on HalfCheetah's
-# tuning episodes 5 % instead of 1 % took the return under the optimal attack from 3,643 to 5,840, clean it cost 0.3 %.
+# The rate among clean steps. A missed attack costs more than a false alarm if the denoiser hardly changes clean
+# observations: on HalfCheetah's tuning episodes 5 % instead of 1 % raised the return under the optimal attack from
+# 3,643 to 5,840, and lowered the clean return by 0.3 %.
 FALSE_ALARMS = 0.05
 
 
-def collect(run: Run, data: str) -> None:
-    """D_normal, and half as many held-out episodes for calibration: these as the defence will meet them, unexplored."""
+def collect(run: Run[DefenseScale], data: str) -> None:
+    """The stage: collect D_normal, and half as many held-out episodes for calibration.
+
+    The held-out episodes are without exploration, as those that the defence will see.
+
+    Args:
+        run: where.
+        data: the exploration in D_normal, a key of ``DATASETS``.
+    """
     victim = run.victim()
     held_out = max(4, run.scale.trajectories // 2)
     wanted = [
@@ -40,8 +49,14 @@ def collect(run: Run, data: str) -> None:
                 save_shard(run, path, shard)
 
 
-def augment(run: Run, data: str, parts: Sequence[str] = tuple(ADVERSARIAL)) -> None:
-    """D_adv: every observation of D_normal under the opposite attack and under the Q-function attack, a folder each."""
+def augment(run: Run[DefenseScale], data: str, parts: Sequence[str] = tuple(ADVERSARIAL)) -> None:
+    """The stage: D_adv, every observation of D_normal under the opposite and the Q-function attack, a folder each.
+
+    Args:
+        run: where.
+        data: the exploration in D_normal, a key of ``DATASETS``.
+        parts: of D_adv, keys of ``ADVERSARIAL``.
+    """
     victim = run.victim()
     for part in parts:
         attack = ADVERSARIAL[part]
@@ -52,10 +67,15 @@ def augment(run: Run, data: str, parts: Sequence[str] = tuple(ADVERSARIAL)) -> N
                 save_shard(run, target, augmentation.augment(load_shard(run, path), offline, seed=index))
 
 
-def train_detector(run: Run, data: str, seed: int = 0) -> None:
-    """Train on D_normal, and calibrate the threshold on held-out clean episodes.
+def train_detector(run: Run[DefenseScale], data: str, seed: int = 0) -> None:
+    """The stage: train the detector on D_normal, and calibrate its threshold on held-out clean episodes.
 
-    It is the conformal one, or the plain quantile if there are too few episodes to promise anything.
+    The threshold is the conformal one, or the plain quantile if there are too few episodes for a guarantee.
+
+    Args:
+        run: where.
+        data: the exploration in D_normal, a key of ``DATASETS``.
+        seed: of the training.
     """
     normal = load_trajectories(run, f"normal-{data}")
     model = train_gruvae(
@@ -75,25 +95,25 @@ def train_detector(run: Run, data: str, seed: int = 0) -> None:
 
 
 def fit_denoiser(
-    run: Run,
+    run: Run[DefenseScale],
     variant: str,
     seed: int = 0,
     parts: Sequence[str] = (),
     checkpoint: str = "denoiser",
     after_epoch: Callable[[int, GRUVAE], None] | None = None,
-) -> tuple[GRUVAE, dict]:
+) -> tuple[GRUVAE, dict[str, object]]:
     """Train a variant's denoiser on D_normal and its parts of D_adv, or those given.
 
     Args:
         run: where.
         variant: a key of ``VARIANTS``.
         seed: of the training.
-        parts: of D_adv.
+        parts: of D_adv; those of the variant if empty.
         checkpoint: how the checkpoint's name begins.
         after_epoch: see ``train_gruvae``.
 
     Returns:
-        The model, and what its sidecar says of it.
+        The model, and the content of its sidecar.
     """
     chosen = VARIANTS[variant]
     parts = tuple(parts) or chosen.adversarial
@@ -110,8 +130,8 @@ def fit_denoiser(
     )  # fmt: skip
 
 
-def train_denoiser(run: Run, variant: str, seed: int = 0, parts: Sequence[str] = ()) -> None:
-    """Train a variant's denoiser and ship it: see ``fit_denoiser``."""
+def train_denoiser(run: Run[DefenseScale], variant: str, seed: int = 0, parts: Sequence[str] = ()) -> None:
+    """The stage: train a variant's denoiser and store it. The arguments are those of ``fit_denoiser``."""
     model, sidecar = fit_denoiser(run, variant, seed, parts)
     models.save_model(run.task.name, run.algo, f"denoiser-{variant}", model, sidecar, run.root)
 

@@ -1,50 +1,64 @@
-"""The recipe's stages that make what is looked at: films, stills and recordings of single episodes.
+"""The recipe's stages that make films, stills and recordings of single episodes.
 
-They need a GL driver, and the modules that they import on their way need rerun and ffmpeg.
+They need a GL driver, and the modules that they import when they run need rerun and ffmpeg.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from detden_lite.attacks import catalogue
 from detden_lite.attacks.adaptive import StealthyAttack
 from detden_lite.attacks.catalogue import TITLES
+from detden_lite.attacks.opposite import OppositeAttack
 from detden_lite.attacks.timing import After
-from detden_lite.core.types import Episodes
+from detden_lite.core.types import Attack, Defense, Episodes
 from detden_lite.defense.variants import MAIN
 from detden_lite.looking.robot import Robot
 from detden_lite.recipe import episode_seeds
 from detden_lite.recipe.run import Run
+from detden_lite.recipe.scales import Scale
 from detden_lite.simulation.rollout import rollout
 
 
-def film_opposite(run: Run, variant: str = MAIN, n: int = 16) -> None:
-    """A recording, a film and stills of one report episode clean, attacked and defended.
+def film_opposite(run: Run[Scale], variant: str = MAIN, n: int = 16) -> None:
+    """The stage: a recording, a film and stills of one report episode clean, attacked and defended.
 
-    Of the first n report episodes it is the one whose attacked length is the median.
+    Args:
+        run: where.
+        variant: of the defence, a key of ``VARIANTS``.
+        n: of the first n report episodes, the one with the median length under the attack is shown.
     """
     from detden_lite.looking import films, recordings
 
     victim, defense = run.victim(), run.defense(variant)
     attack = run.opposite(victim)
-    takes = {
-        name: rollout(victim, run.task, episode_seeds.seeds("report", n), steps=run.scale.horizon, **parts)
-        for name, parts in dict(
-            clean={}, attacked=dict(attack=attack), defended=dict(attack=attack, defense=defense)
-        ).items()
-    }
+
+    def play(attack: Attack | None = None, defense: Defense | None = None) -> Episodes:
+        seeds = episode_seeds.seeds("report", n)
+        return rollout(victim, run.task, seeds, attack=attack, defense=defense, steps=run.scale.horizon)
+
+    takes = dict(clean=play(), attacked=play(attack), defended=play(attack, defense))
     index = _middle(takes["attacked"].lengths)
-    name, threshold = f"{run.folder.name}-opposite", defense.detector.threshold
-    recordings.record(run.root / "recordings" / f"{name}.rrd", run.task, *takes.values(), index, threshold=threshold)
+    name = f"{run.folder.name}-opposite"
+    recordings.record(
+        run.root / "recordings" / f"{name}.rrd", run.task, takes["clean"], takes["attacked"], takes["defended"], index,
+        threshold=defense.detector.threshold,
+    )  # fmt: skip
     folder = run.root / "films"
     films.film(folder / f"{name}.mp4", run.task, takes, index)
     films.still(folder / f"{name}.png", run.task, takes, index, seconds=2.0)
     films.filmstrip(folder / f"{name}-strip.png", run.task, takes, index, seconds=(0.3, 0.6, 0.9, 1.2, 2.0, 3.0))
 
 
-def film_portrait(run: Run, n: int = 16) -> None:
-    """A film and a still of one clean report episode: of the first n that with the median return."""
+def film_portrait(run: Run[Scale], n: int = 16) -> None:
+    """The stage: a film and a still of one clean report episode.
+
+    Args:
+        run: where.
+        n: of the first n report episodes, the one with the median return is shown.
+    """
     from detden_lite.looking import films
 
     clean = rollout(run.victim(), run.task, episode_seeds.seeds("report", n), steps=run.scale.horizon)
@@ -55,17 +69,24 @@ def film_portrait(run: Run, n: int = 16) -> None:
 
 
 def film_attacks(
-    run: Run,
+    run: Run[Scale],
     attacks: Sequence[str] = catalogue.FOUR,
     variant: str = MAIN,
     n: int = 8,
     begin: int = 125,
     steps: int = 500,
 ) -> None:
-    """One report episode clean and under each attack, in one film; and for each attack a recording with a still.
+    """The stage: one report episode clean and under each attack in one film; for each attack a recording with a still.
 
-    The attacks begin when the robot is on its way. Of the first n report episodes it is the one that lives for the
-    median number of steps, summed over the attacks. ``film_opposite`` records the opposite attack.
+    ``film_opposite`` records the opposite attack.
+
+    Args:
+        run: where.
+        attacks: of the catalogue.
+        variant: of the defence in the recordings, a key of ``VARIANTS``.
+        n: of the first n report episodes, the one with the median length, summed over the attacks, is shown.
+        begin: the first step that is attacked, when the robot is already walking.
+        steps: the longest an episode may be.
     """
     from detden_lite.looking import films, recordings
 
@@ -73,9 +94,9 @@ def film_attacks(
     steps = min(steps, run.scale.horizon)
     begin = min(begin, steps // 2)
 
-    def play(name: str, seeds: Sequence[int], **defended) -> Episodes:
+    def play(name: str, seeds: Sequence[int], defense: Defense | None = None) -> Episodes:
         attack = threat.attack(name, victim, run.task)
-        return rollout(victim, run.task, seeds, attack=attack, timing=After(begin), steps=steps, **defended)
+        return rollout(victim, run.task, seeds, attack=attack, timing=After(begin), defense=defense, steps=steps)
 
     seeds = episode_seeds.seeds("report", n)
     played = {name: play(name, seeds) for name in ("none", *attacks)}
@@ -88,17 +109,19 @@ def film_attacks(
     for name in attacks:
         if name == "opposite":
             continue
-        defended = play(name, seeds[index : index + 1], defense=defense)
-        three = dict(clean=takes[TITLES["none"]], attacked=takes[TITLES[name]], defended=defended)
+        clean, attacked = takes[TITLES["none"]], takes[TITLES[name]]
+        defended = play(name, seeds[index : index + 1], defense)
+        three = dict(clean=clean, attacked=attacked, defended=defended)
         recording = run.root / "recordings" / f"{run.folder.name}-{name}.rrd"
-        recordings.record(recording, run.task, *three.values(), threshold=defense.detector.threshold)
+        threshold = defense.detector.threshold
+        recordings.record(recording, run.task, clean, attacked, defended, threshold=threshold)
         films.still(folder / f"{recording.stem}.png", run.task, three, seconds=seconds)
 
 
-def film_stealthy(run: Run, begin: int = 125, steps: int = 300) -> None:
-    """A recording with a still of the first report episode, attacked by one who stays under the threshold.
+def film_stealthy(run: Run[Scale], begin: int = 125, steps: int = 300) -> None:
+    """The stage: a recording with a still of the first report episode under an attack that stays below the threshold.
 
-    The recording has it clean, under the opposite attack without a defence, and with the defence under the
+    The recording has the episode clean, under the opposite attack without a defence, and with the defence under the
     ``StealthyAttack``.
 
     Args:
@@ -111,23 +134,24 @@ def film_stealthy(run: Run, begin: int = 125, steps: int = 300) -> None:
     victim, defense, threat = run.victim(), run.defense(MAIN), run.threat()
     steps = min(steps, run.scale.horizon)
     begin = min(begin, steps // 2)
-    opposite = threat.attack("opposite", victim, run.task)
-    played = dict(
-        clean={}, attacked=dict(attack=opposite),
-        defended=dict(attack=StealthyAttack(opposite, **threat.adaptive), defense=defense),
-    )  # fmt: skip
-    takes = {
-        name: rollout(victim, run.task, episode_seeds.seeds("report", 1), timing=After(begin), steps=steps, **parts)
-        for name, parts in played.items()
-    }
+    opposite = OppositeAttack(victim, threat.budget, threat.steps, threat.restarts)
+
+    def play(attack: Attack | None = None, defense: Defense | None = None) -> Episodes:
+        seeds = episode_seeds.seeds("report", 1)
+        return rollout(victim, run.task, seeds, attack=attack, timing=After(begin), defense=defense, steps=steps)
+
+    settings: dict[str, Any] = dict(threat.adaptive)
+    stealthy = StealthyAttack(opposite, **settings)
+    takes = dict(clean=play(), attacked=play(opposite), defended=play(stealthy, defense))
     name = f"{run.folder.name}-stealthy"
     recordings.record(
-        run.root / "recordings" / f"{name}.rrd", run.task, *takes.values(), threshold=defense.detector.threshold
-    )
+        run.root / "recordings" / f"{name}.rrd", run.task, takes["clean"], takes["attacked"], takes["defended"],
+        threshold=defense.detector.threshold,
+    )  # fmt: skip
     end = takes["defended"].lengths[0]  # where it falls, or where the recording ends
     films.still(run.root / "films" / f"{name}.png", run.task, takes, seconds=(end - 1) * Robot.of(run.task).dt)
 
 
 def _middle(values: np.ndarray) -> int:
-    """Where the median is."""
+    """The position of the median."""
     return int(np.argsort(values, kind="stable")[len(values) // 2])

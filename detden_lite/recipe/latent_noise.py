@@ -1,13 +1,15 @@
 """Is the stochastic barrier real? What the noise of the latents costs an attacker who knows the defence (section 4.4).
 
-The paper explains the failure of its adaptive attacks by the sampling in detector and denoiser. So it is measured here
-step by step, in the middle of attacked episodes: how much more harm is done by averaging over samples, and to the same
-defence without noise; how well a sampled gradient points; and how loud the noise is beside what the latent says.
+The paper explains the failure of its adaptive attacks by the sampling in detector and denoiser. This is measured here
+step by step, in the middle of attacked episodes: how much more damage is done by averaging over samples, and to the
+same defence without noise; how well a sampled gradient is aligned with the expected one; and the latent's signal to
+noise.
 """
 
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,82 +21,111 @@ from detden_lite.attacks.opposite import OppositeAttack
 from detden_lite.attacks.outcome import Outcome
 from detden_lite.core.gradients import value_and_gradient
 from detden_lite.core.random_streams import RandomStreams
-from detden_lite.core.types import Episodes, World
+from detden_lite.core.types import Attack, Episodes, World
+from detden_lite.defense.denoiser import Denoiser
 from detden_lite.defense.gruvae import GRUVAE
+from detden_lite.defense.memory import Recurrent
 from detden_lite.defense.pipeline import DetectAndDenoise
 from detden_lite.defense.variants import MAIN
 from detden_lite.recipe.episode_seeds import seeds
 from detden_lite.recipe.run import Run
+from detden_lite.recipe.scales import Scale
 from detden_lite.simulation.rollout import rollout
 from detden_lite.store import manifest
 
 SAMPLES = (1, 2, 4, 8, 16)  # K
 
-FRESH = 256  # samples that judge, none of which an attacker has seen
+FRESH = 256  # samples for the evaluation, none of which an attacker has seen
 
-AT = (10, 40, 160)  # steps of the episodes that are looked at
+AT = (10, 40, 160)  # the steps of the episodes that are examined
 
-MEASURED = (MAIN, "standard-prior")  # they differ in their prior alone
+MEASURED = (MAIN, "standard-prior")  # they differ only in their prior
 
 
 @dataclass(frozen=True)
 class Moment:
-    """One step of n attacked and defended episodes."""
+    """One step of n attacked and defended episodes.
 
-    obs: Tensor  # the true observations, [n, obs_dim]
-    defense: DetectAndDenoise  # as it is before that step
-    seeds: np.ndarray  # of the episodes, [n]
-    action: Tensor | None  # what the policy did one step before, [n, action_dim]
+    Args:
+        obs: the true observations, ``[n, obs_dim]``.
+        defense: with its memory as it is before that step.
+        seeds: of the episodes, n of them.
+        action: of the policy one step before, ``[n, action_dim]``; None at the first step.
+
+    Example:
+        >>> from detden_lite import OppositeAttack, get_task, load_defense, load_victim, rollout
+        >>> from detden_lite.recipe.latent_noise import moment
+        >>> victim, defense = load_victim("hopper", "td3"), load_defense("hopper", "td3")
+        >>> episodes = rollout(victim, get_task("hopper"), range(2), defense=defense, steps=4)
+        >>> moment(episodes, defense, step=3).obs.shape
+        torch.Size([2, 11])
+    """
+
+    obs: Tensor
+    defense: DetectAndDenoise
+    seeds: Sequence[int]
+    action: Tensor | None
 
     @property
     def rows(self) -> Tensor:
-        """All of them, ``[n]`` bool."""
+        """A mask of all n episodes, ``[n]`` bool."""
         return torch.ones(len(self.obs), dtype=torch.bool)
 
 
 def moment(episodes: Episodes, defense: DetectAndDenoise, step: int) -> Moment:
-    """A step of those episodes that got to it, ``rollout`` having played them with this defence."""
+    """One step of the episodes that lasted until it.
+
+    Args:
+        episodes: that ``rollout`` played with this defence.
+        defense: is copied and shown the episodes anew, until it is as it was before that step.
+        step: from 0.
+    """
     alive = episodes.select(np.flatnonzero(episodes.mask[step]))
     defense = copy.deepcopy(defense)
-    defense.reset(alive.seeds)
+    defense.reset(alive.seeds.tolist())
     action = None
     for perturbed, sent in zip(alive.perturbed[:step], alive.action, strict=False):
         defense(torch.from_numpy(perturbed), action)
         action = torch.from_numpy(sent)
-    return Moment(torch.from_numpy(alive.obs[step]), defense, alive.seeds, action)
+    return Moment(torch.from_numpy(alive.obs[step]), defense, alive.seeds.tolist(), action)
 
 
 def silenced(now: Moment) -> Moment:
-    """The same moment, and from there on the defence takes the latents' means."""
+    """The same moment, with a defence that takes the means of its latents from now on."""
     defense = copy.deepcopy(now.defense)
     for part in defense.parts:
-        part.sample = False
+        if isinstance(part, Recurrent):
+            part.sample = False
     return Moment(now.obs, defense, now.seeds, now.action)
 
 
 def deviation(attack: OppositeAttack, now: Moment, perturbed: Tensor) -> Tensor:
-    """How far the defended policy's action is from pi(o), ``[n]``: root mean square over ``FRESH`` samples.
+    """The deviation of the defended policy's action from pi(o), ``[n]``: root mean square over ``FRESH`` samples.
 
     Args:
-        attack: whose distance of actions this is.
-        now: when.
-        perturbed: what the defence is shown, ``[n, obs_dim]``.
+        attack: its objective measures the distance of actions.
+        now: the moment.
+        perturbed: the input of the defence, ``[n, obs_dim]``.
     """
     view = view_defense(now.defense, now.rows, RandomStreams(1, now.seeds), FRESH, now.action)
     of_action = attack.objective(now.obs).of_action
     return Outcome.of(perturbed, view, attack.victim.mean, of_action).damage.clamp_min(0).sqrt()
 
 
-def attacked(attack, now: Moment) -> Tensor:
-    """What an attack makes of a moment, ``[n, obs_dim]``."""
+def attacked(attack: Attack, now: Moment) -> Tensor:
+    """The perturbed observations of an attack at a moment, ``[n, obs_dim]``."""
     attack.reset(now.seeds)
     return attack(now.obs, World(now.rows.numpy(), defense=now.defense, action=now.action))
 
 
 def alignment(attack: OppositeAttack, now: Moment, perturbed: Tensor, samples: int) -> Tensor:
-    """The cosine ``[n]`` of the gradient in K = ``samples`` samples with that in ``FRESH`` others.
+    """The cosine ``[n]`` between a gradient over K samples and the gradient over ``FRESH`` others.
 
-    It is the gradient of the damage through the denoiser, at ``perturbed`` ``[n, obs_dim]``.
+    Args:
+        attack: its objective is the damage, taken through the denoiser.
+        now: the moment.
+        perturbed: where the gradient is taken, ``[n, obs_dim]``.
+        samples: K.
     """
     of_action = attack.objective(now.obs).of_action
 
@@ -110,7 +141,7 @@ def alignment(attack: OppositeAttack, now: Moment, perturbed: Tensor, samples: i
 
 
 def signal_to_noise(model: GRUVAE, obs: Tensor) -> Tensor:
-    """Of each latent dimension the variance of mu over all steps, divided by the mean of sigma^2, ``[latent_dim]``.
+    """For each latent dimension the variance of mu over all steps divided by the mean of sigma^2, ``[latent_dim]``.
 
     Args:
         model: of a detector or denoiser.
@@ -123,23 +154,28 @@ def signal_to_noise(model: GRUVAE, obs: Tensor) -> Tensor:
 @torch.no_grad()
 def measure(
     attack: OppositeAttack, defense: DetectAndDenoise, episodes: Episodes, at: Sequence[int], steps: int
-) -> dict:
+) -> dict[str, Any]:
     """What the latents' noise of one defence costs an attacker, ready for JSON.
 
     Args:
-        attack: that does not know the defence.
+        attack: one that does not know the defence.
         defense: of two GRU-VAEs.
         episodes: under this attack and with this defence.
-        at: the steps to look at.
+        at: the steps to examine.
         steps: of the adaptive attack.
 
     Returns:
-        Deviations of the action, one for each episode and step that is looked at: ``clean``, under the ``unaware``
-        attack, under the adaptive attack on the same defence without noise (``mean``), and under the adaptive attack
-        by K (``samples``) and its cross-check without gradients (``free``). By K the ``alignment``. And the denoiser's
-        ``latent``: signal to noise, sorted.
+        Deviations of the action, one for each episode and step that is examined: ``clean``, under the ``unaware``
+        attack, under the adaptive attack on the same defence without noise (``mean``), under the adaptive attack by K
+        (``samples``), and under its cross-check without gradients (``free``). The ``alignment`` by K. And the
+        ``latent`` of the denoiser: signal to noise, sorted.
+
+    Raises:
+        TypeError: if the denoiser is no GRU-VAE.
     """
-    found: dict = dict(clean=[], unaware=[], mean=[], free=[], samples={}, alignment={})
+    if not isinstance(defense.denoiser, Denoiser):
+        raise TypeError(f"defense: its denoiser must be a GRU-VAE, not {defense.denoiser!r}")
+    found: dict[str, Any] = dict(clean=[], unaware=[], mean=[], free=[], samples={}, alignment={})
     for now in (moment(episodes, defense, step) for step in at):
         quiet, unaware = silenced(now), attacked(attack, now)
         found["clean"] += deviation(attack, now, now.obs).tolist()
@@ -155,8 +191,14 @@ def measure(
     return found | dict(latent=latent)
 
 
-def measure_latent_noise(run: Run, variants: Sequence[str] = MEASURED, n: int = 32) -> None:
-    """The stage: ``barrier.json`` of a run, on tuning episodes."""
+def measure_latent_noise(run: Run[Scale], variants: Sequence[str] = MEASURED, n: int = 32) -> None:
+    """The stage: ``barrier.json`` of a run, on tuning episodes.
+
+    Args:
+        run: where.
+        variants: the defences to measure, keys of ``VARIANTS``.
+        n: the number of episodes, unless the scale reports fewer.
+    """
     path = run.folder / "barrier.json"
     if manifest.is_made(path, run.root):
         return
@@ -165,13 +207,8 @@ def measure_latent_noise(run: Run, variants: Sequence[str] = MEASURED, n: int = 
     for name in variants:
         defense = run.defense(name)
         played = rollout(
-            victim,
-            run.task,
-            chosen,
-            attack=attack,
-            defense=defense,
-            steps=max(at) + 1,
+            victim, run.task, chosen, attack=attack, defense=defense, steps=max(at) + 1,
             progress=f"latent noise of {name}",
-        )
+        )  # fmt: skip
         found[name] = measure(attack, defense, played, at, run.scale.adaptive["steps"])
     manifest.write_json(path, dict(variants=found, seeds=[chosen[0], len(chosen)], at=at), run.root)

@@ -1,8 +1,9 @@
-"""Two sweeps of one victim: what an attack does at each size of the ball, and what planning costs and brings."""
+"""Two sweeps of one victim: the return at each size of the ball, and the return and cost of each planner."""
 
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -13,8 +14,10 @@ from detden_lite.attacks.timing import After
 from detden_lite.core.budget import Budget
 from detden_lite.core.estimates import estimate
 from detden_lite.core.tasks import Task
+from detden_lite.core.types import Defense
 from detden_lite.recipe.episode_seeds import seeds
 from detden_lite.recipe.run import Run
+from detden_lite.recipe.scales import Scale
 from detden_lite.simulation.planner import CEMPlanner
 from detden_lite.simulation.rollout import rollout
 from detden_lite.store import manifest
@@ -31,24 +34,31 @@ def over_sizes(
     attacks: Sequence[str] = ("uniform", "opposite", "qfunction"),
     sizes: Sequence[float] = SIZES,
     steps: int | None = None,
-    defense=None,
-) -> dict:
+    defense: Defense | None = None,
+) -> dict[str, Any]:
     """Attack always, at several sizes of the ball.
 
     Args:
-        task: where.
-        victim: whom.
+        task: where the victim acts.
+        victim: the policy.
         threat: the attacker's settings; ``sizes`` multiply the radius of its budget.
         episode_seeds: one an episode; the same for all sizes and attacks.
         attacks: names of attacks that ``threat`` knows.
         sizes: factors of the radius.
         steps: the longest an episode may be; the task's horizon by default.
-        defense: what stands before the policy; None for nothing.
+        defense: in front of the policy; None for the bare policy.
 
     Returns:
         Ready for JSON: for each attack a row for each size, with the returns of all episodes.
+
+    Example:
+        >>> from detden_lite import Budget, Threat, get_task, load_victim, over_sizes
+        >>> task, victim = get_task("hopper"), load_victim("hopper", "td3")
+        >>> found = over_sizes(task, victim, Threat(Budget(0.075)), [0], ["uniform"], [0, 1], steps=5)
+        >>> [row["epsilon"] for row in found["attacks"]["uniform"]]
+        [0.0, 0.075]
     """
-    found = {attack: [] for attack in attacks}
+    found: dict[str, list[dict[str, Any]]] = {attack: [] for attack in attacks}
     with tqdm(total=len(attacks) * len(sizes), desc="sizes of the ball", unit="run") as bar:
         for attack in attacks:
             for size in sizes:
@@ -68,12 +78,12 @@ def over_planners(
     planners: Sequence[Mapping[str, int]],
     begin: int = 125,
     steps: int | None = None,
-) -> dict:
-    """The enchanting attack with several planners, on a robot that is on its way already.
+) -> dict[str, Any]:
+    """The enchanting attack with several planners, on a robot that is already walking.
 
     Args:
-        task: where.
-        victim: whom.
+        task: where the victim acts.
+        victim: the policy.
         budget: the ball.
         episode_seeds: one an episode; the same for all planners.
         planners: the arguments of each ``CEMPlanner``.
@@ -81,10 +91,10 @@ def over_planners(
         steps: the longest an episode may be; the task's horizon by default.
 
     Returns:
-        Ready for JSON: a row for each planner, with the returns of all episodes, how many steps each lived under attack
-        and how many plans the planner makes in a second of CPU time.
+        Ready for JSON: a row for each planner, with the returns of all episodes, how many steps each lasted under
+        attack, and how many plans the planner makes in a second of CPU time.
     """
-    rows = []
+    rows: list[dict[str, Any]] = []
     for settings in tqdm(planners, desc="planners", unit="planner"):
         planner = _Timed(task.env_id, **settings)
         episodes = rollout(
@@ -109,11 +119,11 @@ class _Timed(CEMPlanner):
         return first
 
 
-def _of(returns: np.ndarray) -> dict:
+def _of(returns: np.ndarray) -> dict[str, Any]:
     return dict(estimate=asdict(estimate(returns)), returns=returns.tolist())
 
 
-def epsilon(run: Run) -> None:
+def epsilon(run: Run[Scale]) -> None:
     """The stage: ``epsilon.json`` of a run, on report episodes."""
     path = run.folder / "epsilon.json"
     if not manifest.is_made(path, run.root):
@@ -122,7 +132,7 @@ def epsilon(run: Run) -> None:
         manifest.write_json(path, found, run.root)
 
 
-def planning(run: Run) -> None:
+def planning(run: Run[Scale]) -> None:
     """The stage: ``planning.json`` of a run, on tuning episodes, since a planner may be chosen by it."""
     path = run.folder / "planning.json"
     if not manifest.is_made(path, run.root):

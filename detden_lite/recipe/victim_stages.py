@@ -1,4 +1,7 @@
-"""Stages that train, choose and complete a victim. Each makes what is missing, so that running it again resumes it."""
+"""The stages that train and choose a victim, and learn the Q-function that a PPO victim lacks.
+
+Each makes what is missing: running it again resumes it.
+"""
 
 from dataclasses import asdict
 
@@ -7,6 +10,7 @@ import numpy as np
 from detden_lite.core import estimates
 from detden_lite.recipe import episode_seeds
 from detden_lite.recipe.run import Run
+from detden_lite.recipe.scales import Scale
 from detden_lite.simulation import training_worlds
 from detden_lite.simulation.rollout import rollout
 from detden_lite.store import manifest, models, tensors
@@ -14,16 +18,19 @@ from detden_lite.victims import critic, selection
 from detden_lite.victims.victim import Victim
 
 
-def train_victim(run: Run, seed: int) -> None:
-    """Train one seed; its snapshots are kept in the run's checkpoints."""
+def train_victim(run: Run[Scale], seed: int) -> None:
+    """The stage: train one seed; its snapshots are stored in the run's checkpoints."""
     training_worlds.train_victim(run.task, run.scale.victim, seed, run.folder / "checkpoints" / f"victim-{seed}")
 
 
-def select_victim(run: Run) -> None:
-    """Choose among all snapshots of all seeds, and ship the chosen one with its evaluation on fresh episodes.
+def select_victim(run: Run[Scale]) -> None:
+    """The stage: choose among all snapshots of all seeds, and store the chosen one with its evaluation.
 
     Screening takes 5 episodes; see ``selection.choose``. The chosen one is evaluated once on the report's episodes. If
-    another was shipped before, what was made of that one is removed.
+    another victim was stored before, everything that was made of that one is removed.
+
+    Raises:
+        ValueError: if there is no snapshot.
     """
     folders = sorted((run.folder / "checkpoints").glob("victim-*"))
     if not any(any((folder / "snapshots").glob("*.safetensors")) for folder in folders):
@@ -57,8 +64,16 @@ def select_victim(run: Run) -> None:
     models.save_victim(run.task.name, run.algo, chosen.policy, sidecar, run.root)
 
 
-def learn_q(run: Run, seed: int = 0) -> None:
-    """Learn the Q-function of a PPO victim from clean episodes; a TD3 victim has its critics already."""
+def learn_q(run: Run[Scale], seed: int = 0) -> None:
+    """The stage: learn the Q-function of a PPO victim from clean episodes.
+
+    Args:
+        run: where.
+        seed: of the training.
+
+    Raises:
+        ValueError: for a TD3 victim, which has critics.
+    """
     if run.algo == "td3":
         raise ValueError("a TD3 victim has critics of its own; the qfunction stage is for PPO")
     recipe, victim, horizon = run.scale.critic, run.victim(), run.scale.horizon
