@@ -77,14 +77,14 @@ clean: ## Remove everything that was made, .venv included
 	$(PYTHON) -c "import shutil; [shutil.rmtree(d, ignore_errors=True) for d in ('_build', '.venv')]"
 
 # uv itself is in the lock: pip installs it by its hashes, and it installs the rest. The build constraints pin, with
-# hashes, what builds the one package that comes as source.
+# hashes, what builds the one package that comes as source. This package is built by the hatchling of the lock.
 .venv/stamp: environment.lock pyproject.toml
 	@$(PYTHON) -c "import sys; (3, 11) <= sys.version_info[:2] <= (3, 13) or sys.exit('Python 3.11, 3.12 or 3.13 is needed, and $(PYTHON) is ' + sys.version.split()[0] + ': name another one, as in: make PYTHON=python3.12 ...')"
 	$(PYTHON) -m venv .venv
 	sed -n '/^uv==/,/[^\\]$$/p' environment.lock > .venv/uv.txt
 	$(PY) -m pip install -q --disable-pip-version-check --require-hashes -r .venv/uv.txt
 	$(BIN)/uv pip sync -q --python $(PY) --require-hashes --build-constraints environment.lock environment.lock
-	$(BIN)/uv pip install -q --python $(PY) --no-deps --editable .
+	$(BIN)/uv pip install -q --python $(PY) --no-deps --no-build-isolation --editable .
 	@$(PY) -c "open('.venv/stamp', 'w')"
 
 # The cache of executed chapters knows their code, but neither the library nor the data: when those change, it goes.
