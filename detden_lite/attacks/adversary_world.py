@@ -1,9 +1,12 @@
 """The adversary's world: its action is the perturbation of what a frozen victim sees (section 3.2.1)."""
 
+import gymnasium
 import numpy as np
 import torch
 from gymnasium.spaces import Box
 from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
+from torch import Tensor
 
 from detden_lite.attacks.base import check_budget
 from detden_lite.attacks.optimal import perturb
@@ -69,7 +72,8 @@ class AdversaryEnv(VecEnv):
             if part is not None:
                 part.reset(self.simulator.seeds)
         self.age = np.zeros(self.num_envs, dtype=int)
-        self.obs, self.action = self.simulator.reset(), None
+        self.obs = self.simulator.reset()
+        self.action: Tensor | None = None  # the victim's, one step before
         return self.obs
 
     def step_async(self, actions: np.ndarray) -> None:
@@ -99,33 +103,35 @@ class AdversaryEnv(VecEnv):
         infos: list[dict] = [{} for _ in done]
         for i in np.flatnonzero(done):
             infos[i] = {"terminal_observation": obs[i].copy(), "TimeLimit.truncated": not ended[i]}
-            obs[i] = self._begin(i)
+            obs[i] = self._begin(int(i), action)
         self.obs = obs
         return obs, -reward, done, infos
 
-    def _begin(self, i: int) -> np.ndarray:
-        """Begin a new episode in one world; the others go on."""
+    def _begin(self, i: int, action: Tensor) -> np.ndarray:
+        """Begin a new episode in one world; the others go on. Its row of ``action`` becomes NaN."""
         seed = self._fresh_seed()
         self.age[i] = 0
         if self.defense is not None:
             self.defense.restart(i, seed)
-            self.action[i] = torch.nan  # there is no action before the first
+            action[i] = torch.nan  # there is no action before the first
         return self.simulator.restart(i, seed)
 
     def close(self) -> None:
         for env in self.simulator.envs:
             env.close()
 
-    def get_attr(self, attr_name: str, indices=None) -> list:
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list:
         return [getattr(self.simulator.envs[i], attr_name) for i in self._get_indices(indices)]
 
-    def set_attr(self, attr_name: str, value, indices=None) -> None:
+    def set_attr(self, attr_name: str, value: object, indices: VecEnvIndices = None) -> None:
         for i in self._get_indices(indices):
             setattr(self.simulator.envs[i], attr_name, value)
 
-    def env_method(self, method_name: str, *method_args, indices=None, **method_kwargs) -> list:
+    def env_method(
+        self, method_name: str, *method_args: object, indices: VecEnvIndices = None, **method_kwargs: object
+    ) -> list:
         envs = [self.simulator.envs[i] for i in self._get_indices(indices)]
         return [getattr(env, method_name)(*method_args, **method_kwargs) for env in envs]
 
-    def env_is_wrapped(self, wrapper_class, indices=None) -> list[bool]:
+    def env_is_wrapped(self, wrapper_class: type[gymnasium.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
         return [False for _ in self._get_indices(indices)]

@@ -1,6 +1,7 @@
 """What the attacks here share: their ball, and the checks at the first call after a reset."""
 
 from collections.abc import Sequence
+from numbers import Real
 
 import torch
 from torch import Tensor
@@ -13,6 +14,13 @@ def check_kind(kind: type, **values: object) -> None:
     for name, value in values.items():
         if not isinstance(value, kind):
             raise ValueError(f"{name} must be a {kind.__name__}, not {value!r}")
+
+
+def check_number(**values: object) -> None:
+    """Refuse what is no number; infinity is one. The ValueError names the argument."""
+    for name, value in values.items():
+        if not isinstance(value, Real) or value != value:
+            raise ValueError(f"{name} must be a number, not {value!r}")
 
 
 def check_budget(budget: Budget, obs_dim: int | None) -> None:

@@ -1,7 +1,7 @@
 """The adaptive attacks as the paper prints them, in section 4.4 and in appendix B, which contradict each other."""
 
 from collections.abc import Callable
-from math import isfinite
+from math import inf
 
 import torch
 from torch import Tensor
@@ -11,6 +11,7 @@ from detden_lite.attacks.enchanting import EnchantingAttack
 from detden_lite.attacks.gradient import GradientAttack
 from detden_lite.attacks.informed import InformedAttack, View, Views, view_defense
 from detden_lite.attacks.opposite import OppositeAttack
+from detden_lite.core.arguments import check_between
 from detden_lite.core.random_streams import RandomStreams
 from detden_lite.core.types import World
 from detden_lite.defense.detector import linf_score
@@ -35,7 +36,7 @@ class PrintedAttack(InformedAttack):
         view: see ``InformedAttack``.
 
     Raises:
-        ValueError: for another form, or a weight that is not finite.
+        ValueError: for another form, or a weight below 0 or without end.
     """
 
     def __init__(
@@ -44,8 +45,7 @@ class PrintedAttack(InformedAttack):
     ) -> None:  # fmt: skip
         if form not in FORMS:
             raise ValueError(f"form must be one of {', '.join(FORMS)}, not {form!r}")
-        if not isfinite(weight):
-            raise ValueError(f"weight must be a finite number, not {weight}")
+        check_between(0, inf, weight=weight)
         super().__init__(attack, seed, view)
         self.form, self.weight = form, weight
 
@@ -64,9 +64,9 @@ class PrintedAttack(InformedAttack):
             value = damage(self.policy(view.denoise(perturbed)[0]))
             if squared:
                 value = value.sign() * (value.abs() + torch.finfo(value.dtype).tiny).sqrt()
-            reconstruction = view.reconstruct(perturbed)[0]
+            reconstruction, units = view.reconstruct(perturbed)[0], torch.as_tensor(view.scale)
             if self.form == "text":
-                return value - self.weight * linf_score(perturbed, reconstruction, view.scale)
-            return value + self.weight * linf_score(true, reconstruction, view.scale)
+                return value - self.weight * linf_score(perturbed, reconstruction, units)
+            return value + self.weight * linf_score(true, reconstruction, units)
 
         return self.attack.ascend(objective, obs, wanted)

@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import inf, isnan
+from math import inf
 
-from detden_lite.attacks.base import check_kind
+from detden_lite.attacks.base import check_kind, check_number
 from detden_lite.attacks.catalogue import CATALOGUE, TIMINGS
 from detden_lite.attacks.timing import Always, Random, Vulnerable
 from detden_lite.core.arguments import check_between, check_whole
@@ -35,8 +35,7 @@ class Threat:
         check_kind(Budget, budget=self.budget)
         check_whole(1, steps=self.steps, restarts=self.restarts)
         check_between(0, 1, rate=self.rate)
-        if isnan(self.c_vul):
-            raise ValueError("c_vul must be a number, not nan")
+        check_number(c_vul=self.c_vul)
 
     def attack(self, name: str, victim: Victim, task: Task) -> Attack | None:
         """The attack of this name, or None for "none"; a ValueError that lists the names otherwise."""

@@ -1,12 +1,11 @@
 """When to attack: the vulnerability indicator 1_vul and its controls (section 3.2.2)."""
 
 from collections.abc import Sequence
-from math import isnan
-from numbers import Real
 
 import torch
 from torch import Tensor
 
+from detden_lite.attacks.base import check_number
 from detden_lite.core.arguments import check_between, check_whole
 from detden_lite.core.random_streams import RandomStreams
 from detden_lite.victims.victim import Victim
@@ -34,9 +33,8 @@ class Vulnerable:
     """
 
     def __init__(self, victim: Victim, threshold: float) -> None:
-        if not isinstance(threshold, Real) or isnan(threshold):
-            raise ValueError(f"threshold must be a number, not {threshold!r}")
-        self.victim, self.threshold = victim, float(threshold)
+        check_number(threshold=threshold)
+        self.victim, self.threshold = victim, threshold
 
     def reset(self, episodes: Sequence[int]) -> None:
         pass

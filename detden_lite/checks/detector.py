@@ -116,7 +116,7 @@ def check_scores(scores: Callable[[np.ndarray, np.ndarray], tuple[float, float, 
     print("Right: each score forgets something, so three of them are reported.")
 
 
-def _shape(result) -> str:
+def _shape(result: object) -> str:
     return f"the shape {list(result.shape)}" if isinstance(result, Tensor) else f"a {type(result).__name__}"
 
 

@@ -100,6 +100,7 @@ def search(
     snapshots.mkdir(exist_ok=True)
     adversary = Victim(**recipe.config(task))
     adversary.obs_mean.copy_(torch.from_numpy(clean.mean(0)))
+    weight, bias = adversary.actor.parameters()
     spread = torch.from_numpy(clean.std(0))
     adversary.obs_std.copy_(torch.where(spread > 1e-4, spread, 1.0))
     adversary.obs_clip.fill_(10.0)
@@ -115,8 +116,8 @@ def search(
         samples = state["mean"] + state["std"] * noise
         returns = measure(LinearMaps(adversary, samples), generation)
         mean, std = fit(samples, returns, recipe.elites)
-        adversary.actor[0].weight.copy_(mean[:, :-1])
-        adversary.actor[0].bias.copy_(mean[:, -1])
+        weight.copy_(mean[:, :-1])
+        bias.copy_(mean[:, -1])
         replace_file(snapshots / f"{generation + 1:08d}.safetensors", save(adversary.state_dict()))
         state = dict(mean=mean, std=std.maximum(recipe.floor * start), generation=torch.tensor(generation + 1))
         replace_file(checkpoint, save(state))
