@@ -35,11 +35,11 @@ def film(
     Args:
         path: the .mp4 file to write.
         task: what the episodes are of.
-        episodes: kinds of episodes by name, such as "clean", "attacked", "defended"; the names are captions.
+        episodes: kinds of episodes by name, such as "clean", "attacked", "defended"; the names become captions.
         index: which episode of each.
-        seconds: the longest that the film may be; it ends with its last episode.
+        seconds: the longest that the film may be; it ends when its last episode ends.
         fps: frames a second.
-        speed: 1 shows it as fast as it happened, 0.5 half as fast.
+        speed: 1 for the speed of the simulation, 0.5 for half of it.
         width: of one robot's square picture, pixels; even.
         quality: x264's constant rate factor, lower is better and larger.
 
@@ -49,6 +49,15 @@ def film(
     Raises:
         ValueError: if an argument is impossible or the episodes are of another task.
         RuntimeError: if no GL driver is found.
+
+    Example:
+        It needs a GL driver::
+
+            from detden_lite import films, get_task, load_victim, rollout
+
+            task = get_task("hopper")
+            clean = rollout(load_victim("hopper", "td3"), task, [0])
+            films.film("hopper.mp4", task, dict(clean=clean))
     """
     path = _checked(path, ".mp4", width)
     if not (seconds > 0 and fps > 0 and speed > 0):
@@ -60,13 +69,13 @@ def film(
     size = (width * len(shots), width + CAPTION)
     # Faststart puts the index first, so that a browser can begin before it has everything.
     options = ["-crf", str(quality), "-preset", "veryslow", "-movflags", "+faststart", "-fflags", "+bitexact"]
-    with Renderer(robot, width) as studio, replacing(path) as temporary:
+    with Renderer(robot, width) as renderer, replacing(path) as temporary:
         writer = imageio_ffmpeg.write_frames(
             temporary, size, fps=fps, codec="libx264", quality=None, macro_block_size=2, output_params=options
         )
         writer.send(None)
         for frame in range(frames):
-            writer.send(studio.row(shots, round(frame / fps * speed / robot.dt)).tobytes())
+            writer.send(renderer.row(shots, round(frame / fps * speed / robot.dt)).tobytes())
         writer.close()
     return path
 
@@ -74,14 +83,19 @@ def film(
 def still(
     path: str | Path, task: Task, episodes: Mapping[str, Episodes], index: int = 0, *, seconds: float, width: int = 300
 ) -> Path:
-    """Write the picture, a .png, that ``film`` of the same episodes has at a time in seconds."""
+    """Write a .png of the frame that ``film`` of the same episodes has at a time in seconds.
+
+    Raises:
+        ValueError: if an argument is impossible or the episodes are of another task.
+        RuntimeError: if no GL driver is found.
+    """
     path = _checked(path, ".png", width)
     if not seconds >= 0:
         raise ValueError(f"seconds: {seconds} must not be negative")
     robot = Robot.of(task)
     shots = takes(robot, episodes, index)
-    with Renderer(robot, width) as studio:
-        picture = studio.row(shots, round(seconds / robot.dt))
+    with Renderer(robot, width) as renderer:
+        picture = renderer.row(shots, round(seconds / robot.dt))
     return _save(picture, path)
 
 
@@ -94,14 +108,19 @@ def filmstrip(
     seconds: Sequence[float],
     width: int = 180,
 ) -> Path:
-    """Write a .png with a row for each kind of episodes and a column for each time in seconds."""
+    """Write a .png with a row for each kind of episodes and a column for each time in seconds.
+
+    Raises:
+        ValueError: if an argument is impossible or the episodes are of another task.
+        RuntimeError: if no GL driver is found.
+    """
     path = _checked(path, ".png", width)
     if not len(seconds) or min(seconds) < 0:
         raise ValueError(f"seconds is empty or has negative times: {list(seconds)}; give the times of the columns")
     robot = Robot.of(task)
     shots = takes(robot, episodes, index)
-    with Renderer(robot, width) as studio:
-        columns = [studio.column(shots, round(time / robot.dt)) for time in seconds]
+    with Renderer(robot, width) as renderer:
+        columns = [renderer.column(shots, round(time / robot.dt)) for time in seconds]
     return _save(beside(columns), path)
 
 

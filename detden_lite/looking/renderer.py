@@ -17,7 +17,7 @@ CAPTION = 46  # pixels
 
 
 class Renderer:
-    """Draws a robot, as it was at a step of a take, above a caption; a context manager.
+    """Draws a robot at a step of a take, above a caption; a context manager.
 
     Args:
         robot: whose takes are drawn; its model is painted.
@@ -25,9 +25,19 @@ class Renderer:
 
     Raises:
         RuntimeError: if no GL driver is found.
+
+    Example:
+        It needs a GL driver::
+
+            from detden_lite import Robot, get_task, takes
+            from detden_lite.looking.renderer import Renderer
+
+            robot = Robot.of(get_task("hopper"))
+            with Renderer(robot, width=300) as renderer:
+                picture = renderer.row(takes(robot, dict(clean=episodes), index=0), step=10)
     """
 
-    def __init__(self, robot: Robot, width: int):
+    def __init__(self, robot: Robot, width: int) -> None:
         self.robot, self.width, self.model = robot, width, robot.model
         self.data, self.imagined = mujoco.MjData(self.model), mujoco.MjData(self.model)
         self.font, self.small = (ImageFont.load_default(size) for size in (15, 13))
@@ -46,7 +56,7 @@ class Renderer:
     def __enter__(self) -> "Renderer":
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         self.renderer.close()
 
     def row(self, shots: Sequence[Take], step: int) -> Image.Image:
@@ -58,7 +68,7 @@ class Renderer:
         return beside([self.picture(shot, step) for shot in shots], down=True)
 
     def picture(self, shot: Take, step: int) -> Image.Image:
-        """One take at a step; after its end as it lay there."""
+        """One take at a step; after its end, as it was at its last step."""
         over = step >= len(shot)
         position = shot.positions[min(step, len(shot.positions) - 1)]
         colour = GREY if over and shot.fell else shot.colour
@@ -83,7 +93,7 @@ class Renderer:
         return camera
 
     def _mark_floor(self, position: np.ndarray) -> None:
-        """A line each metre, so that one sees how far and how fast."""
+        """Draw a line each metre, which shows distance and speed."""
         centre = np.zeros(2)
         centre[: self.robot.hidden] = position[: self.robot.hidden]
         for axis in range(self.robot.hidden):
@@ -105,7 +115,7 @@ class Renderer:
         scene.ngeom += 1
 
     def _caption(self, draw: ImageDraw.ImageDraw, shot: Take, step: int) -> None:
-        over, top, right = step >= len(shot), self.width + 5, self.width - 10
+        over, top, right = step >= len(shot), self.width + 5, float(self.width - 10)
         steps = f"step {step}" if not over else f"{'fell' if shot.fell else 'ended'} at step {len(shot)}"
         draw.text((10, top), shot.name, shot.colour, self.font)
         draw.text((10, top + 19), steps, INK, self.small)
@@ -118,7 +128,7 @@ class Renderer:
 
 
 def _paint(model: mujoco.MjModel) -> None:
-    """Plain colours, which a film can hold in few bytes."""
+    """Give the model plain colours, which make a film small."""
     model.geom_matid[:] = -1
     model.geom_rgba[model.geom_bodyid == 0] = _rgba(GROUND)
     model.tex_data.reshape(-1, 3)[:] = SKY

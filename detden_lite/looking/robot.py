@@ -1,9 +1,10 @@
-"""A robot as it is drawn: its capsules, and how they lie at each moment."""
+"""A robot as it is drawn: its capsules, and their poses."""
 
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from gymnasium.envs.mujoco import MujocoEnv
 
 from detden_lite.core.tasks import Task
 from detden_lite.simulation.simulator import make
@@ -11,24 +12,42 @@ from detden_lite.simulation.simulator import make
 
 @dataclass(frozen=True)
 class Robot:
-    """The body of a task. In all five it is made of capsules, and of spheres, which are capsules of length zero."""
+    """The body of a task. In the paper's tasks it is made of capsules, and of spheres: capsules of length zero.
+
+    Args:
+        model: MuJoCo's.
+        dt: seconds from one action to the next.
+        geoms: the model's geoms that are the robot and not the floor, ``[G]``.
+        names: of the observations, obs_dim of them.
+        hidden: the number of first positions that are not observed: the robot's place on the floor.
+
+    Example:
+        >>> from detden_lite import Robot, get_task
+        >>> robot = Robot.of(get_task("hopper"))
+        >>> robot.names[:3], robot.dt
+        (('z', 'pitch', 'thigh'), 0.008)
+    """
 
     model: mujoco.MjModel
-    dt: float  # seconds from one action to the next
-    geoms: np.ndarray  # which of the model's geoms are the robot and not the floor, [G]
-    names: tuple[str, ...]  # what each observation measures, obs_dim of them
-    hidden: int  # how many of the first positions are not observed: where on the floor the robot is
+    dt: float
+    geoms: np.ndarray
+    names: tuple[str, ...]
+    hidden: int
 
     @classmethod
     def of(cls, task: Task) -> "Robot":
-        """The robot of a task, from gymnasium's own model of it."""
+        """The robot of a task, from gymnasium's own model of it.
+
+        Raises:
+            ValueError: if the task's environment has no MuJoCo model.
+        """
         env = make(task.env_id).unwrapped
-        names, hidden = (
-            _observation_names(env.model, env.observation_structure),
-            env.observation_structure["skipped_qpos"],
-        )
+        if not isinstance(env, MujocoEnv):
+            raise ValueError(f"task: {task.env_id} is not derived from gymnasium's MujocoEnv, and has no body to draw")
+        structure: dict[str, int] = vars(env)["observation_structure"]
         env.close()
-        return cls(env.model, float(env.dt), np.flatnonzero(env.model.geom_bodyid > 0), names, hidden)
+        names, geoms = _observation_names(env.model, structure), np.flatnonzero(env.model.geom_bodyid > 0)
+        return cls(env.model, float(env.dt), geoms, names, structure["skipped_qpos"])
 
     @property
     def radii(self) -> np.ndarray:
@@ -62,7 +81,7 @@ class Robot:
 
     @property
     def extent(self) -> np.ndarray:
-        """Length, width and height of the robot as the model has it before it moves, metres, ``[3]``."""
+        """Length, width and height of the robot in the model's initial pose, metres, ``[3]``."""
         data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, data)
         reach = (self.lengths / 2 + self.radii)[:, None] * np.abs(data.geom_xmat[self.geoms].reshape(-1, 3, 3)[..., 2])
@@ -70,7 +89,15 @@ class Robot:
         return (centres + reach).max(0) - (centres - reach).min(0)
 
     def imagined(self, positions: np.ndarray, obs: np.ndarray) -> np.ndarray:
-        """Positions ``[T, nq]`` of the robot that observations ``[T, obs_dim]`` describe, put where the true one is."""
+        """The pose that observations describe, at the true robot's place on the floor.
+
+        Args:
+            positions: of the true robot, ``[T, nq]``.
+            obs: ``[T, obs_dim]``.
+
+        Returns:
+            Generalised positions ``[T, nq]``.
+        """
         described = self.model.nq - self.hidden
         return np.concatenate([positions[:, : self.hidden], obs[:, :described]], axis=1)
 

@@ -1,4 +1,4 @@
-"""Episodes made ready to be looked at: one of each kind side by side."""
+"""Episodes prepared for films and recordings: one of each kind, side by side."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,8 +8,8 @@ import numpy as np
 from detden_lite.core.types import Episodes
 from detden_lite.looking.robot import Robot
 
-# Okabe and Ito's colours, a little lightened for a dark ground: told apart with any colour vision. They are those of a
-# clean robot, of an attacked one, of a defended one, and of what the perturbed observation describes.
+# Okabe and Ito's colours, a little lighter for a dark background: distinct with any colour vision. They are those of a
+# clean robot, of an attacked one, of a defended one, and of the robot that the perturbed observation describes.
 TAKE_COLOURS = ((86, 180, 233), (236, 122, 32), (0, 190, 135), (214, 134, 180))
 
 GREY = (112, 114, 118)
@@ -17,12 +17,33 @@ GREY = (112, 114, 118)
 
 @dataclass(frozen=True)
 class Take:
-    """One episode, cut to the T steps that it lived. Arrays are ``[T, ...]``, in the units of ``Episodes``."""
+    """One episode, cut to the T steps that it lasted. Arrays are ``[T, ...]``, in the units of ``Episodes``.
+
+    Args:
+        name: of the kind of episode.
+        colour: of the robot.
+        fell: whether it ended before the longest of the episodes beside it could end.
+        positions: ``[T, nq]`` before each action, and one row more where the state after the last is known.
+        obs: true observations.
+        perturbed: observations after the attack.
+        denoised: outputs of the denoiser.
+        reward: of each step.
+        attacked: whether the step was attacked.
+        alarm: of the detector.
+        score: of the detector.
+
+    Example:
+        >>> from detden_lite import Robot, get_task, load_victim, rollout, takes
+        >>> task = get_task("hopper")
+        >>> clean = rollout(load_victim("hopper", "td3"), task, [0], steps=5)
+        >>> [(take.name, len(take)) for take in takes(Robot.of(task), dict(clean=clean), index=0)]
+        [('clean', 5)]
+    """
 
     name: str
     colour: tuple[int, int, int]
-    fell: bool  # it ended before its time, which is that of the longest episode beside it
-    positions: np.ndarray  # [T, nq] before each action, and one row more where the state after the last is known
+    fell: bool
+    positions: np.ndarray
     obs: np.ndarray
     perturbed: np.ndarray
     denoised: np.ndarray
@@ -36,7 +57,12 @@ class Take:
 
 
 def takes(robot: Robot, episodes: Mapping[str, Episodes], index: int) -> list[Take]:
-    """Episode ``index`` of each of several kinds of episodes, by name, to be shown side by side.
+    """One episode of each of several kinds, to be shown side by side.
+
+    Args:
+        robot: the body.
+        episodes: kinds of episodes by name.
+        index: which episode of each kind.
 
     Raises:
         ValueError: if there is none, if an index is out of range, or if episodes are not of this robot's task.

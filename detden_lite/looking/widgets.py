@@ -1,6 +1,6 @@
-"""Interactive figures that need no kernel: every frame is drawn beforehand, and the browser chooses which one is seen.
+"""Interactive figures that need no kernel: every frame is drawn beforehand, and the browser chooses which one is shown.
 
-That is what makes them work in the built book, where no Python runs, just as in JupyterLab.
+So they work in the built book, where no Python runs, as they do in JupyterLab.
 """
 
 import base64
@@ -33,15 +33,22 @@ def frames(
     Args:
         draw: gives the figure of a value; it is closed afterwards. Figures of one size keep the page from jumping.
         values: one a frame.
-        label: what stands before the slider, such as "epsilon".
-        describe: gives the alternative text of a value's figure, for who cannot see it. It should say what is seen.
-        names: what stands behind the slider for each value; ``str`` of it by default.
-        start: position of the frame that is seen first.
+        label: the text before the slider, such as "epsilon".
+        describe: gives the alternative text of a value's figure: what the figure shows.
+        names: the text behind the slider for each value; ``str`` of the value by default.
+        start: position of the frame that is shown first.
         play: milliseconds a frame lasts, for a play button; None for no button.
         dpi: resolution of the frames.
 
     Raises:
-        ValueError: if there are no values, not one name a value, or two values with the same name.
+        ValueError: if there are no values, not one name for each value, or two values with the same name.
+
+    Example:
+        >>> import matplotlib.pyplot as plt
+        >>> from detden_lite import frames
+        >>> box = frames(lambda size: plt.figure(figsize=(size, 1)), [1, 2], "size", "a figure {} inches wide".format)
+        >>> box.children[0].children[0].description
+        'size'
     """
     names = [str(value) for value in values] if names is None else list(names)
     if not len(values) or len(names) != len(values) or len(set(names)) != len(names):
