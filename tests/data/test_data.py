@@ -1,8 +1,13 @@
-"""What is shipped: whole, small, no pickle, and every number in it is one that can be computed again."""
+"""The shipped files: whole, small, no pickles, and every number in them can be computed again.
+
+A test over many files checks them all, and reports all failures together.
+"""
 
 import hashlib
 import json
+from collections.abc import Callable, Iterable
 from dataclasses import asdict
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +18,7 @@ from scipy.stats import fisher_exact
 from detden_lite.attacks.threat import Threat
 from detden_lite.core.budget import Budget
 from detden_lite.core.estimates import estimate
+from detden_lite.core.files import ArtifactError
 from detden_lite.core.tasks import SWIMMER, get_task
 from detden_lite.defense.baselines import Identity
 from detden_lite.defense.detector import Detector
@@ -46,13 +52,28 @@ PAPERS = {"-".join(row) for row in paper.ROWS}
 TABLES = sorted({folder for folder, _ in DEFENSES} & PAPERS)
 ATTACKED = sorted({name.split(".")[0] for name in RECORDS} & PAPERS)
 MODELS = sorted(path.relative_to(DATA).as_posix() for path in DATA.glob("*/de*.safetensors"))
-
-
 OPPOSITE = [cell for cell in cells.table_cells(["none", MAIN]) if cell.attack == "opposite"]
 
 
-def record(name: str) -> dict:
+def check_each(items: Iterable, check: Callable[..., None]) -> None:
+    """Check all items, and fail once with the problems of all."""
+    problems = []
+    for item in items:
+        try:
+            check(*item) if isinstance(item, tuple) else check(item)
+        except (AssertionError, ArtifactError) as error:
+            problems.append(f"{item}: {error}")
+    assert not problems, "\n".join([f"{len(problems)} failed", *problems])
+
+
+@cache
+def record(name: str) -> records.Record:
     return records.load_record(name, DATA)
+
+
+@cache
+def threshold(folder: str, variant: str) -> float:
+    return ablations.build_defense(Run.of(DATA, *folder.split("-"), "lite"), variant).detector.threshold
 
 
 def assert_as_often(lengths, recorded, steps: int) -> None:
@@ -78,19 +99,24 @@ def test_the_manifest_lists_every_file_and_no_other():
     assert files - recipe == set(MANIFEST)
 
 
-@pytest.mark.parametrize("name", MANIFEST)
-def test_every_file_is_what_the_manifest_promises(name):
-    assert hashlib.sha256((DATA / name).read_bytes()).hexdigest() == MANIFEST[name]
+def test_every_file_has_the_sum_in_the_manifest():
+    def check(name):
+        assert hashlib.sha256((DATA / name).read_bytes()).hexdigest() == MANIFEST[name]
+
+    check_each(MANIFEST, check)
 
 
-@pytest.mark.parametrize("name", MANIFEST)
-def test_nothing_is_a_pickle(name):
-    content = (DATA / name).read_bytes()
-    assert Path(name).suffix in {".safetensors", ".json", ".rrd", ".mp4", ".png"}
-    assert not content.startswith((b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05", b"PK\x03\x04", b"\x93NUMPY"))
+def test_nothing_is_a_pickle():
+    pickles = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05", b"PK\x03\x04", b"\x93NUMPY")
+
+    def check(name):
+        assert Path(name).suffix in {".safetensors", ".json", ".rrd", ".mp4", ".png"}
+        assert not (DATA / name).read_bytes().startswith(pickles)
+
+    check_each(MANIFEST, check)
 
 
-def test_it_is_small():
+def test_shipped_files_are_small():
     assert sum((DATA / name).stat().st_size for name in MANIFEST) < 60e6
 
 
@@ -101,19 +127,20 @@ def test_every_victim_walks_as_its_card_says(folder):
     victim, card = models.load_victim(task, algo, DATA), manifest.read_json(DATA / folder / "victim.json", DATA)
     assert card["estimate"] == asdict(estimate(card["returns"]))
     episodes = rollout(victim, get_task(task), seeds("report", 16), steps=125)
-    assert_as_often(episodes.lengths, record(f"{folder}.none.always.none")["lengths"], 125)
+    assert_as_often(episodes.lengths, record(f"{folder}.none.always.none").lengths, 125)
     obs = torch.from_numpy(episodes.obs[0])
     assert victim.value(obs).isfinite().all()
     assert folder not in PAPERS or victim.q(obs, victim(obs)).isfinite().all()
 
 
-@pytest.mark.parametrize("name", MODELS)
-def test_every_model_loads_and_answers(name):
-    folder, stem = name.removesuffix(".safetensors").split("/")
-    task, algo = folder.split("-")
-    model, _ = models.load_model(task, algo, stem, DATA)
-    assert model.obs_dim == get_task(task).obs_dim
-    assert model(torch.zeros(2, 3, model.obs_dim)).output.isfinite().all()
+def test_every_model_loads_and_answers():
+    def check(name):
+        folder, stem = name.removesuffix(".safetensors").split("/")
+        model, _ = models.load_model(*folder.split("-"), stem, DATA)
+        assert model.obs_dim == get_task(folder.split("-")[0]).obs_dim
+        assert model(torch.zeros(2, 3, model.obs_dim)).output.isfinite().all()
+
+    check_each(MODELS, check)
 
 
 @pytest.mark.parametrize(("folder", "data"), sorted({(folder, VARIANTS[name].data) for folder, name in DEFENSES}))
@@ -125,7 +152,7 @@ def test_every_detector_is_silent_for_most_of_a_clean_episode(folder, data):
 
 
 @pytest.mark.parametrize(("folder", "variant"), DEFENSES)
-def test_every_variant_but_the_printed_one_is_silent_for_most_of_a_clean_episode(folder, variant):
+def test_every_defence_but_the_printed_is_silent_on_clean_episodes(folder, variant):
     """After its first false alarm the printed denoiser leads the robot astray, and the alarm goes on: chapter 4."""
     task, algo = folder.split("-")
     defense = models.load_defense(task, algo, variant, DATA)
@@ -133,40 +160,44 @@ def test_every_variant_but_the_printed_one_is_silent_for_most_of_a_clean_episode
     assert (share < 0.5) == (variant != "printed")
 
 
-@pytest.mark.parametrize("name", RECORDS)
-def test_every_summary_is_that_of_the_records_own_returns(name):
-    found = record(name)
-    n = found["seeds"][1]
-    assert n >= 50 and len(found["returns"]) == len(found["lengths"]) == n
-    assert found["seeds"][0] == seeds("report", 1)[0]
-    assert found["estimate"] == pytest.approx(asdict(estimate(found["returns"])))
-    assert max(found["lengths"]) <= get_task(found["task"]).horizon
-    assert name == ".".join([name.split(".")[0], *found["cell"].values()])
+def test_every_summary_is_that_of_the_records_own_returns():
+    def check(name):
+        found = record(name)
+        n = found.seeds[1]
+        assert n >= 50 and len(found.returns) == len(found.lengths) == n
+        assert found.seeds[0] == seeds("report", 1)[0]
+        assert asdict(found.estimate) == pytest.approx(asdict(estimate(found.returns)))
+        assert max(found.lengths) <= get_task(found.task).horizon
+        assert name == found.cell.record_name(*name.split(".")[0].split("-"))
+
+    check_each(RECORDS, check)
 
 
-@pytest.mark.parametrize("name", RECORDS)
-def test_every_record_is_of_the_models_that_are_shipped(name):
-    folder = name.split(".")[0]
-    found, (task, algo) = record(name), folder.split("-")
-    timing = manifest.read_json(DATA / folder / "timing.json", DATA) if folder in PAPERS else {}
-    variant = found["cell"]["defense"]
-    if variant != "none":
-        threshold = ablations.build_defense(Run.of(DATA, task, algo, "lite"), variant).detector.threshold
-        assert found["settings"]["c_anomaly"] == threshold
-    if found["cell"]["timing"] == "vulnerable":
-        assert found["settings"]["c_vul"] == timing["c_vul"]
-    if found["cell"]["timing"] == "random":
-        assert found["settings"]["rate"] == timing["attack_rate"]
-    assert found["settings"]["epsilon"] == get_task(found["task"]).epsilon
+def test_every_record_is_of_the_models_that_are_shipped():
+    def check(name):
+        folder, found = name.split(".")[0], record(name)
+        timing = manifest.read_json(DATA / folder / "timing.json", DATA) if folder in PAPERS else {}
+        if found.cell.defense != "none":
+            assert found.settings["c_anomaly"] == threshold(folder, found.cell.defense)
+        if found.cell.timing == "vulnerable":
+            assert found.settings["c_vul"] == timing["c_vul"]
+        if found.cell.timing == "random":
+            assert found.settings["rate"] == timing["attack_rate"]
+        assert found.settings["epsilon"] == get_task(found.task).epsilon
+
+    check_each(RECORDS, check)
 
 
-@pytest.mark.parametrize("folder", TABLES)
-def test_the_table_of_a_defended_victim_is_complete(folder):
-    variants = [variant for name, variant in DEFENSES if name == folder]
-    assert {cell.record_name(*folder.split("-")) for cell in cells.table_cells(variants)} <= set(RECORDS)
+def test_the_table_of_a_defended_victim_is_complete():
+    def check(folder):
+        variants = [variant for name, variant in DEFENSES if name == folder]
+        missing = {cell.record_name(*folder.split("-")) for cell in cells.table_cells(variants)} - set(RECORDS)
+        assert not missing
+
+    check_each(TABLES, check)
 
 
-def test_the_curve_of_a_training_ends_at_the_denoiser_that_is_shipped():
+def test_the_training_curve_ends_at_the_shipped_denoiser():
     run, known = Run.of(DATA, "hopper", "td3", "lite"), manifest.read_json(DATA / "hopper-td3" / "curve.json")
     defense = run.defense(known["variant"])
     found = both_sides(run, defense.denoiser.model, defense.detector, play(run, run.victim(), known["seeds"][1]))
@@ -174,21 +205,24 @@ def test_the_curve_of_a_training_ends_at_the_denoiser_that_is_shipped():
     assert known["epochs"][-1]["error"] == pytest.approx(found["error"], rel=0.2)
 
 
-@pytest.mark.parametrize("folder", ATTACKED)
-def test_no_attack_on_a_victim_is_half_recorded(folder):
+def test_no_attack_on_a_victim_is_half_recorded():
     """All timings of an attack or none; and the clean episodes are those of the victim's card.
 
     HalfCheetah magnifies rounding until an episode on another machine is another episode: its mean must agree.
     """
-    recorded = {name.split(".")[1] for name in RECORDS if name.startswith(f"{folder}.")}
-    wanted = [cell for cell in cells.table_cells(["none"]) if cell.attack in recorded]
-    assert {cell.record_name(*folder.split("-")) for cell in wanted} <= set(RECORDS)
-    card = manifest.read_json(DATA / folder / "victim.json", DATA)["estimate"]
-    clean = record(f"{folder}.none.always.none")["estimate"]
-    assert abs(clean["mean"] - card["mean"]) <= max(card["high"] - card["low"], 1e-6 * card["mean"])
+
+    def check(folder):
+        recorded = {name.split(".")[1] for name in RECORDS if name.startswith(f"{folder}.")}
+        wanted = [cell for cell in cells.table_cells(["none"]) if cell.attack in recorded]
+        assert {cell.record_name(*folder.split("-")) for cell in wanted} <= set(RECORDS)
+        card = manifest.read_json(DATA / folder / "victim.json", DATA)["estimate"]
+        clean = record(f"{folder}.none.always.none").estimate
+        assert abs(clean.mean - card["mean"]) <= max(card["high"] - card["low"], 1e-6 * card["mean"])
+
+    check_each(ATTACKED, check)
 
 
-def test_the_policy_that_is_not_the_papers_is_defended_by_the_one_call_and_does_again_what_its_records_tell():
+def test_defend_finds_swimmers_defence_and_repeats_its_records():
     """Swimmer never falls, and does not magnify rounding: the returns of two report episodes."""
     before = {path: path.stat().st_mtime_ns for path in DATA.rglob("*")}
     victim = models.load_victim("swimmer", "ppo", DATA)
@@ -199,29 +233,30 @@ def test_the_policy_that_is_not_the_papers_is_defended_by_the_one_call_and_does_
         defense = defended.defense if name == MAIN else None
         _, episodes = run_cell(Cell(attack, defense=name), SWIMMER, victim, threat, defense, seeds("report", 2))
         told = record(f"swimmer-ppo.{attack}.always.{name}")
-        assert episodes.returns == pytest.approx(told["returns"][:2], abs=0.2 * told["estimate"]["mean"])
+        assert episodes.returns == pytest.approx(told.returns[:2], abs=0.2 * told.estimate.mean)
 
 
 @pytest.mark.parametrize("name", ["none", MAIN])
-def test_the_sweep_over_sizes_of_that_policy_agrees_with_its_records(name):
+def test_swimmers_sweep_over_sizes_agrees_with_its_records(name):
     sweep = manifest.read_json(DATA / "swimmer-ppo" / "sizes.json", DATA)[name]
     assert sweep["seeds"] == [seeds("report", 1)[0], 100]
     for attack, rows in sweep["attacks"].items():
         assert all(row["estimate"] == pytest.approx(asdict(estimate(row["returns"]))) for row in rows)
         for epsilon, told in ((0.0, "none"), (SWIMMER.epsilon, attack)):
             (found,) = [row["returns"] for row in rows if row["epsilon"] == epsilon]
-            assert found == pytest.approx(record(f"swimmer-ppo.{told}.always.{name}")["returns"])
+            assert found == pytest.approx(list(record(f"swimmer-ppo.{told}.always.{name}").returns))
 
 
 @pytest.mark.parametrize("folder", TABLES)
-@pytest.mark.parametrize(
-    "cell", [cell for cell in cells.table_cells(["none", MAIN]) if cell.attack == "opposite"], ids=str
-)
-def test_the_shipped_models_do_again_what_the_records_tell(folder, cell):
-    """As many of 16 report episodes end within 200 steps as of the record's."""
+def test_shipped_models_fall_as_often_as_their_records(folder):
+    """As many of 16 report episodes end within 200 steps as of the record's, in each cell of the opposite attack."""
     run = Run.of(DATA, *folder.split("-"), "lite")
-    timing = manifest.read_json(run.folder / "timing.json", DATA)
+    timing, victim = manifest.read_json(run.folder / "timing.json", DATA), run.victim()
     threat = Threat(run.budget, run.scale.attack_steps, c_vul=timing["c_vul"], rate=timing["attack_rate"])
-    defense = None if cell.defense == "none" else run.defense(cell.defense)
-    _, episodes = run_cell(cell, run.task, run.victim(), threat, defense, seeds("report", 16), steps=200)
-    assert_as_often(episodes.lengths, record(cell.record_name(run.task.name, run.algo))["lengths"], 200)
+
+    def check(cell):
+        defense = None if cell.defense == "none" else run.defense(cell.defense)
+        _, episodes = run_cell(cell, run.task, victim, threat, defense, seeds("report", 16), steps=200)
+        assert_as_often(episodes.lengths, record(cell.record_name(run.task.name, run.algo)).lengths, 200)
+
+    check_each(OPPOSITE, check)
