@@ -61,7 +61,7 @@ def test_what_was_measured_is_stored_and_printed(run, tmp_path):
     assert command_line(tmp_path / "data").stdout == stored.stdout
 
 
-def test_what_another_run_measured_is_kept_until_it_is_measured_again(run, tmp_path):
+def test_measurements_of_another_run_are_kept(run, tmp_path):
     durations.show(run, store=True, data=tmp_path / "data")
     before = durations.measure(run)["rows"]
     other = tmp_path / "other"
@@ -73,14 +73,14 @@ def test_what_another_run_measured_is_kept_until_it_is_measured_again(run, tmp_p
     assert rows["hopper-td3"]["select"]["cpu_seconds"] == 20 and "detector" in rows["walker2d-ppo"]
 
 
-def test_where_nothing_was_measured_or_stored_it_says_so(run, tmp_path):
+def test_missing_measurements_are_an_error(run, tmp_path):
     with pytest.raises(ArtifactError, match="durations.json is missing"):
         durations.show(run, data=tmp_path)
     with pytest.raises(ArtifactError, match="holds no measurement; run `make data` first"):
         durations.show(tmp_path / "empty", store=True, data=tmp_path)
 
 
-def test_the_speed_of_a_training_is_measured_and_kept_beside_the_rest(run, tmp_path, monkeypatch):
+def test_the_speed_of_trainings_is_stored_beside_the_rest(run, tmp_path, monkeypatch):
     recipe = replace(TINY_VICTIMS["ppo"], steps=512, segment=512)
     durations.show(run, store=True, data=tmp_path)
     monkeypatch.setattr(durations.measure_trainings, "__defaults__", ({("hopper", "ppo"): recipe},))
@@ -94,7 +94,7 @@ def test_the_speed_of_a_training_is_measured_and_kept_beside_the_rest(run, tmp_p
     assert record.pop("trainings").keys() == {"hopper-ppo"} and record == durations.measure(run)
 
 
-def test_the_time_of_a_training_is_its_steps_by_its_speed():
+def test_the_time_of_a_training_is_steps_by_speed():
     record = dict(trainings={"hopper-td3": dict(steps=500_000, steps_per_second=250.0)})
     assert durations.trainings_table(record)[1] == ["hopper-td3", "500,000", "250", "33 min"]
     assert durations.table(record) == [["row", "all"]]

@@ -83,7 +83,7 @@ def build(folder: Path, text: str) -> subprocess.CompletedProcess:
     return make(folder, *MADE, "book", "SERVE=0")
 
 
-def test_a_book_that_fails_to_build_leaves_the_old_one(book):
+def test_a_failing_build_leaves_the_old_book(book):
     assert build(book, "bad").returncode != 0
     assert (book / "_build" / "html" / "index.html").read_text() == "good"
     assert build(book, "better").returncode == 0
@@ -91,7 +91,7 @@ def test_a_book_that_fails_to_build_leaves_the_old_one(book):
     assert not (book / "_build" / "old").exists()
 
 
-def test_a_book_whose_build_is_interrupted_leaves_the_old_one(book):
+def test_an_interrupted_build_leaves_the_old_book(book):
     (book / "book" / "index.md").write_text("slow")
     quiet = dict(stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
     process = subprocess.Popen(["make", *MADE, "book", "SERVE=0"], cwd=book, **quiet)

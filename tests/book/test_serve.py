@@ -57,7 +57,7 @@ def test_nothing_outside_the_folder_is_served(ask, path, method):
 
 
 @pytest.mark.parametrize("port", ["abc", "-1", "65536", "80.5", "", "1e3", "0x50"])
-def test_what_is_no_port_is_refused_in_one_line(folder, port, capsys):
+def test_an_impossible_port_is_refused_in_one_line(folder, port, capsys):
     with pytest.raises(SystemExit) as stop:
         serve.main([str(folder), "--", port])
     assert stop.value.code == f"error: port {port} is none; give a number between 0 and 65535"

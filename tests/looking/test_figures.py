@@ -62,7 +62,7 @@ def test_a_turned_body_is_turned_in_the_picture(robot, axes):
     assert np.ptp(turned[:, 0]) > 2 * np.ptp(torso[:, 0])
 
 
-def test_a_strip_leaves_out_what_the_episode_did_not_live_to(robot, episodes, axes):
+def test_a_strip_leaves_out_steps_after_the_end(robot, episodes, axes):
     length = episodes.lengths[0]
     figures.strip(axes, robot, episodes, 0, [0, length - 1, length])
     floor = 1
@@ -104,7 +104,7 @@ def test_a_table_has_a_row_for_each_row():
     assert shown.count("<tr>") == 3 and "<td>2</td>" in shown
 
 
-def test_an_entry_of_a_table_breaks_before_its_interval_alone():
+def test_an_entry_breaks_only_before_its_interval():
     assert figures.whole(Estimate(3_376, 3_375, 3_376, 0, 0, 0, 100)).split(" ") == [
         "3,376",
         "[3,375,\N{NO-BREAK SPACE}3,376]",

@@ -80,7 +80,7 @@ def test_times_are_in_steps_and_in_seconds(path):
             np.testing.assert_allclose(seconds, np.array(batch.column("step")) * 0.008, atol=1e-9)
 
 
-def test_the_robot_is_where_mujoco_says_and_grey_once_it_fell(path, episodes):
+def test_the_recorded_robot_follows_mujoco_and_greys_after_falling(path, episodes):
     robot = Robot.of(HOPPER)
     shot = takes(robot, dict(zip(NAMES, episodes, strict=True)), 1)[0]
     steps, ends = read(path, "/clean/robot", "Capsules3D:translations")
@@ -103,7 +103,7 @@ def test_any_task_can_be_recorded(task, tmp_path):
 
 
 @pytest.mark.parametrize("task", TASKS.values(), ids=list(TASKS))
-def test_every_part_of_a_robot_is_a_capsule_that_ends_where_mujoco_ends_it(task):
+def test_every_part_of_a_robot_is_mujocos_capsule(task):
     robot = Robot.of(task)
     kinds = set(robot.model.geom_type[robot.geoms].tolist())
     assert kinds <= {int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_SPHERE)}
@@ -116,7 +116,7 @@ def test_every_part_of_a_robot_is_a_capsule_that_ends_where_mujoco_ends_it(task)
 
 
 @pytest.mark.parametrize("task", TASKS.values(), ids=list(TASKS))
-def test_the_robot_of_a_true_observation_is_the_robot(task):
+def test_a_true_observation_describes_the_true_robot(task):
     episodes, robot = rollout(make_victim(task), task, [5], steps=3), Robot.of(task)
     positions = episodes.state[:, 0, : robot.model.nq]
     np.testing.assert_allclose(robot.imagined(positions, episodes.obs[:, 0]), positions, atol=1e-6)

@@ -56,7 +56,7 @@ def test_every_assembled_defence_runs_and_differs_from_the_main_one(run, name):
     assert not all(same) or name == "tuned"  # whose threshold has a test of its own
 
 
-def test_what_each_ablation_changes(run):
+def test_each_ablation_changes_what_its_name_says(run):
     main = ablations.build_defense(run, MAIN)
     always = play(run, ablations.build_defense(run, "always"))
     assert np.array_equal(always.shown[always.mask], always.denoised[always.mask])
@@ -86,14 +86,14 @@ def test_the_baselines_are_calibrated_and_closer_to_normal_than_chance(run):
     assert kalman < 2 * error(play(run, ablations.build_defense(run, "identity"))).mean()
 
 
-def test_the_papers_threshold_misses_hardly_an_attack_on_the_episodes_that_it_was_tuned_on(run):
+def test_the_tuned_defence_has_the_tuned_threshold(run):
     defense = ablations.build_defense(run, "tuned")
     found = json.loads((run.folder / "threshold.json").read_text())
     assert defense.detector.threshold == found["threshold"] and found["seeds"] == [seeds("tuning", 1)[0], 4]
     assert defense.detector.threshold != ablations.build_defense(run, MAIN).detector.threshold
 
 
-def test_making_them_again_changes_nothing_and_a_lost_one_is_made_the_same(run):
+def test_a_lost_part_is_made_again_the_same(run):
     def contents():
         return {path.name: path.read_bytes() for path in run.folder.iterdir() if path.is_file()}
 
@@ -105,7 +105,7 @@ def test_making_them_again_changes_nothing_and_a_lost_one_is_made_the_same(run):
     assert contents() == before
 
 
-def test_another_name_and_a_missing_part_are_refused(run, tmp_path):
+def test_an_unknown_name_and_a_missing_part_are_refused(run, tmp_path):
     with pytest.raises(ValueError, match="defense must be one of printed, .*oracle-denoiser, not 'prayer'"):
         ablations.build_defense(run, "prayer")
     empty = Run.of(tmp_path, "hopper", "td3", "tiny")
@@ -113,7 +113,7 @@ def test_another_name_and_a_missing_part_are_refused(run, tmp_path):
         ablations.build_defense(empty, "kalman")
 
 
-def test_records_of_assembled_defences_say_what_is_not_the_papers(run):
+def test_records_of_assembled_defences_name_their_changes(run):
     manifest.write_json(run.folder / "timing.json", dict(c_vul=0.0, attack_rate=0.5), run.root)
     evaluation.evaluate(run, ("always", "oracle-denoiser"), ("none", "opposite"))
     always = records.load_record("hopper-td3.opposite.always.always", run.root)

@@ -51,7 +51,7 @@ def test_a_snapshot_is_a_policy_whose_actions_are_perturbations(trained):
     assert (adversary.action_low == -1).all() and (adversary.action_high == 1).all()
 
 
-def test_a_training_that_is_interrupted_and_resumed_is_one_that_never_stopped(trained, tmp_path, monkeypatch):
+def test_a_resumed_training_equals_an_uninterrupted_one(trained, tmp_path, monkeypatch):
     class Interrupting(training.tqdm):
         def update(self, n=1):
             raise KeyboardInterrupt
@@ -106,7 +106,7 @@ def left(run: Run, path: Path, episodes) -> float:
     return float(always + vulnerable) / 2
 
 
-def test_the_chosen_adversary_is_the_one_that_leaves_the_least(run):
+def test_the_adversary_that_leaves_the_smallest_return_is_chosen(run):
     paths = [*add_member(run, 0, range(6)), *add_member(run, 1, range(6, 14))]
     adversary_stages.choose(run)
     episodes = episode_seeds.seeds("adversary", 5 + 4)
@@ -126,7 +126,7 @@ def test_the_chosen_adversary_is_the_one_that_leaves_the_least(run):
     assert tensors.digest(shipped.state_dict()) == tensors.digest(load_file(best))
 
 
-def test_with_another_adversary_go_the_records_of_the_last(run):
+def test_a_new_adversary_removes_the_records_of_the_last(run):
     add_member(run, 0, [0])
     records = [run.root / "results" / f"hopper-td3.{name}.always.none.json" for name in ("optimal", "linear", "none")]
     adversary_stages.choose(run)
@@ -150,13 +150,13 @@ def test_a_bad_snapshot_is_refused(run, harm):
     assert not (run.folder / "adversary.json").exists()
 
 
-def test_the_grid_has_no_other_members(run):
+def test_a_member_outside_the_grid_is_refused(run):
     for member in (-1, 2):
         with pytest.raises(ValueError, match=f"member must be between 0 and 1 at this scale, not {member}"):
             adversary_stages.train_member(run, member)
 
 
-def test_a_member_is_trained_on_the_victim_of_the_run_within_its_budget(run):
+def test_a_member_is_trained_on_the_victim_of_the_run(run):
     adversary_stages.train_member(run, 1)
     recipe = json.loads((run.folder / "checkpoints" / "adversary-1" / "recipe.json").read_text())
     promised = manifest.promised(run.folder / "victim.safetensors", run.root)
@@ -166,7 +166,7 @@ def test_a_member_is_trained_on_the_victim_of_the_run_within_its_budget(run):
     assert len(contents(run.folder / "checkpoints" / "adversary-1")) == 2
 
 
-def test_an_adversary_learns_with_the_defence_inside_and_has_its_cells(run):
+def test_an_adaptive_adversary_is_trained_chosen_and_evaluated(run):
     run = replace(run, scale=replace(run.scale, horizon=8))
     for name, model in ((f"denoiser-{MAIN}", make_gruvae(seed=1, residual=True)), ("detector-diverse", make_gruvae())):
         models.save_model("hopper", "td3", name, model, dict(data="diverse", threshold=1.5), run.root)
@@ -194,7 +194,7 @@ def test_an_adversary_learns_with_the_defence_inside_and_has_its_cells(run):
     assert made == sorted(f"hopper-td3.{attack}.always.{MAIN}.json" for attack in catalogue.ADAPTIVE)
 
 
-def test_a_linear_adversary_is_searched_and_shipped(run):
+def test_a_linear_adversary_is_searched_and_stored(run):
     adversary_stages.search_linear(run)
     shipped = models.load_adversary("hopper", "td3", "linear", run.root)
     assert shipped.config["actor"] == [11, 11] and (shipped.obs_std != 1).any()

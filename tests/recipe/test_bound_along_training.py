@@ -27,7 +27,7 @@ def nothing():
     return model
 
 
-def test_the_discounted_return_is_a_sum_over_the_steps_before_the_end(run):
+def test_the_discounted_return_sums_the_steps_before_the_end(run):
     episodes = play(run, run.victim(), 2)
     for i, length in enumerate(episodes.lengths):
         by_hand = sum(0.9**t * episodes.reward[t, i] for t in range(length))
@@ -45,7 +45,7 @@ def test_the_total_variation_is_that_of_the_actions(run):
     assert not total_variations(victim, play(run, victim, 2)).any()
 
 
-def test_of_doing_nothing_both_sides_are_known(run):
+def test_both_sides_are_known_for_a_denoiser_that_does_nothing(run):
     """The largest error is the distance to a corner of the box, and what is lost is what the bare victim loses."""
     victim, detector = run.victim(), Detector(make_gruvae(), 0.0)
     clean, bare = play(run, victim, 4), play(run, victim, 4, run.opposite(victim))
@@ -57,7 +57,7 @@ def test_of_doing_nothing_both_sides_are_known(run):
     assert found["mae"] == pytest.approx(np.abs(bare.perturbed - bare.obs)[bare.mask].mean(), rel=1e-3)
 
 
-def test_the_stage_measures_every_epoch_and_goes_on_where_it_was_killed(run, tmp_path, monkeypatch):
+def test_a_killed_stage_resumes_at_the_next_epoch(run, tmp_path, monkeypatch):
     defense_stages.collect(run, "diverse")
     defense_stages.augment(run, "diverse", ["adversarial"])
     measure, seen = both_sides, []

@@ -64,7 +64,7 @@ def scores(defense, obs) -> np.ndarray:
     return torch.stack([torch.cat([v.score[:, None], v.denoised], 1) for v in verdicts]).numpy()
 
 
-def test_everything_of_a_ppo_lies_in_the_folder_and_loads(defended, ppo):
+def test_a_defended_ppo_is_stored_in_its_folder(defended, ppo):
     found, folder = defended
     victim = models.load_victim("invertedpendulum", "ppo", folder)
     obs = normal(10, 3, 4)
@@ -77,7 +77,7 @@ def test_everything_of_a_ppo_lies_in_the_folder_and_loads(defended, ppo):
     assert np.array_equal(scores(loaded, obs), scores(found.defense, obs))
 
 
-def test_the_second_call_makes_nothing_and_gives_the_same(defended, ppo):
+def test_a_second_call_loads_the_same_defence(defended, ppo):
     found, folder = defended
     before, obs = contents(folder), normal(10, 3, 4)
     times = {path: path.stat().st_mtime_ns for path in folder.rglob("*.safetensors")}
@@ -88,7 +88,7 @@ def test_the_second_call_makes_nothing_and_gives_the_same(defended, ppo):
 
 
 @pytest.mark.parametrize("lost", ["detector-diverse.json", f"denoiser-{MAIN}.safetensors", "normal-diverse"])
-def test_what_is_lost_is_made_anew_and_the_same(defended, ppo, tmp_path, lost):
+def test_a_lost_file_is_made_again_the_same(defended, ppo, tmp_path, lost):
     found, folder = defended
     copy, obs = shutil.copytree(folder, tmp_path / "copy"), normal(10, 3, 4)
     path = copy / "invertedpendulum-ppo" / lost
@@ -103,7 +103,7 @@ def test_what_is_lost_is_made_anew_and_the_same(defended, ppo, tmp_path, lost):
     assert {name: content for name, content in contents(copy).items() if "checkpoints" not in name} == kept
 
 
-def test_a_td3_has_critics_so_that_its_denoiser_sees_both_attacks(tmp_path):
+def test_the_denoiser_of_a_td3_is_trained_on_both_attacks(tmp_path):
     model = TD3("MlpPolicy", "InvertedPendulum-v5", policy_kwargs=dict(NET), seed=0, buffer_size=10)
     found = detden_lite.defend(model, model.get_env().envs[0].unwrapped.spec.id, BUDGET, "tiny", tmp_path)
     folder = tmp_path / "invertedpendulum-td3"
@@ -119,7 +119,7 @@ def test_a_td3_has_critics_so_that_its_denoiser_sees_both_attacks(tmp_path):
     assert not torch.equal(*(part["obs"] for part in attacked))
 
 
-def test_the_ball_is_the_one_that_was_given(ppo, tmp_path):
+def test_the_attacks_use_the_given_ball(ppo, tmp_path):
     scale = torch.tensor([1.0, 0.5, 2.0, 4.0])
     again(tmp_path, ppo, budget=Budget(0.1, 2, scale))
     folder = tmp_path / "invertedpendulum-ppo"
@@ -131,7 +131,7 @@ def test_the_ball_is_the_one_that_was_given(ppo, tmp_path):
     assert 0.09 < size.max() <= 0.1 + 1e-6
 
 
-def test_the_threshold_is_the_conformal_one_as_soon_as_there_is_one(defended, ppo, tmp_path):
+def test_enough_episodes_give_the_conformal_threshold(defended, ppo, tmp_path):
     found, folder = defended
     few = manifest.read_json(folder / "invertedpendulum-ppo" / "detector-diverse.json", folder)
     assert not few["conformal"] and np.isfinite(few["threshold"])
@@ -145,7 +145,7 @@ def test_the_threshold_is_the_conformal_one_as_soon_as_there_is_one(defended, pp
     assert card["conformal"] and card["threshold"] >= card["calibration_quantiles"]["0.95"]
 
 
-def test_a_folder_of_another_victim_or_other_settings_is_refused_and_left_alone(defended, ppo):
+def test_a_folder_of_another_victim_or_settings_is_refused(defended, ppo):
     found, folder = defended
     before = contents(folder)
     other = Victim.from_state(found.victim.config, found.victim.state_dict())
@@ -162,7 +162,7 @@ def test_a_folder_of_another_victim_or_other_settings_is_refused_and_left_alone(
     assert contents(folder) == before
 
 
-def test_a_defence_whose_settings_are_not_told_is_refused_and_left_alone(defended, ppo, tmp_path):
+def test_a_defence_of_unknown_settings_is_refused(defended, ppo, tmp_path):
     copy = shutil.copytree(defended[1], tmp_path / "copy")
     (copy / "invertedpendulum-ppo" / "defend.json").unlink()
     before = contents(copy)
@@ -171,7 +171,7 @@ def test_a_defence_whose_settings_are_not_told_is_refused_and_left_alone(defende
     assert contents(copy) == before
 
 
-def test_what_an_id_hides_in_a_wrapper_is_refused():
+def test_a_wrapper_hidden_behind_an_id_is_refused():
     """The episodes are played without it, so that the defence would be made for other observations."""
 
     def scaled(**kwargs):
@@ -208,7 +208,7 @@ class Odd(gymnasium.Env):
         (dict(vecnormalize=None), "vecnormalize: this PPO saw normalised observations"),
     ],
 )
-def test_what_cannot_be_defended_is_refused_before_anything_is_written(ppo, tmp_path, changes, message):
+def test_bad_arguments_are_refused_before_anything_is_written(ppo, tmp_path, changes, message):
     with pytest.raises(ValueError, match=message):
         again(tmp_path, ppo, **changes)
     assert not list(tmp_path.iterdir())
@@ -248,13 +248,13 @@ def test_a_policy_whose_actions_have_other_bounds_is_refused(ppo, tmp_path):
         again(tmp_path, ppo, victim=victim)
 
 
-def test_a_task_of_the_paper_keeps_the_papers_sizes_and_the_time_limit_is_the_environments():
+def test_a_task_has_the_papers_sizes_and_the_environments_limit():
     ant = task_of("Ant-v5", Budget(0.2))
     assert (ant.name, ant.epsilon, ant.hidden) == ("ant", 0.2, 256)
     assert task_of(gymnasium.make("Swimmer-v5", max_episode_steps=70), BUDGET).horizon == 70
 
 
-def test_the_package_itself_loads_nothing_and_defending_needs_no_trainer():
+def test_importing_is_lazy_and_defending_needs_no_trainer():
     script = "import sys, detden_lite; assert 'torch' not in sys.modules; detden_lite.defend; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.split()
     assert "detden_lite.recipe.defend" in loaded and not {"stable_baselines3", "sbx", "jax", "matplotlib"} & set(loaded)
@@ -262,7 +262,7 @@ def test_the_package_itself_loads_nothing_and_defending_needs_no_trainer():
         detden_lite.defense_of  # noqa: B018
 
 
-def test_the_stage_of_the_recipe_defends_its_victim_and_writes_down_how_that_went_once(tmp_path):
+def test_the_defend_stage_stores_its_records_and_sweep_once(tmp_path):
     models.save_victim("swimmer", "ppo", make_victim(SWIMMER, gaussian=True), {}, tmp_path)
     stage = ["defend", "--task", "swimmer", "--algo", "ppo", "--scale", "tiny", "--root", str(tmp_path)]
     main(stage)

@@ -20,7 +20,7 @@ main(["gallery", "--root", sys.argv[1], "--attacks", "opposite", "qfunction", "o
 """
 
 
-def test_all_attacks_are_filmed_side_by_side_and_recorded_one_by_one(tmp_path):
+def test_all_attacks_are_filmed_together_and_recorded_singly(tmp_path):
     root = tmp_path / "run"
     ship_victim(root)
     models.save_model("hopper", "td3", "detector-diverse", make_gruvae(), dict(threshold=1.0), root)

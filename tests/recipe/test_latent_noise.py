@@ -26,7 +26,7 @@ def played():
     return defense, rollout(VICTIM, HOPPER, range(4), attack=ATTACK, defense=defense, steps=8)
 
 
-def test_a_moment_is_the_episode_as_it_was(played):
+def test_a_moment_reproduces_the_episode_at_that_step(played):
     """With the defence's memory, and with its own next random numbers."""
     defense, episodes = played
     now = moment(episodes, defense, 5)
@@ -36,7 +36,7 @@ def test_a_moment_is_the_episode_as_it_was(played):
     assert (verdict.alarm.numpy() == episodes.alarm[5]).all()
 
 
-def test_without_noise_the_deviation_is_what_the_policy_really_does(played):
+def test_without_noise_the_deviation_is_the_policys_own(played):
     defense, episodes = played
     now = silenced(moment(episodes, defense, 5))
     seen = attacked(ATTACK, now)
@@ -46,7 +46,7 @@ def test_without_noise_the_deviation_is_what_the_policy_really_does(played):
     assert not torch.allclose(deviation(ATTACK, loud, seen), deviation(ATTACK, now, seen), atol=1e-4)
 
 
-def test_more_samples_point_better_and_without_noise_all_point_alike(played):
+def test_more_samples_align_better_and_noise_is_the_cause(played):
     defense, episodes = played
     now = moment(episodes, defense, 5)
     quiet, seen = silenced(now), attacked(ATTACK, now)
@@ -55,7 +55,7 @@ def test_more_samples_point_better_and_without_noise_all_point_alike(played):
     assert torch.allclose(alignment(ATTACK, quiet, seen, 1), torch.ones(4), atol=1e-5)
 
 
-def test_a_louder_latent_has_less_signal():
+def test_more_latent_noise_lowers_the_signal_to_noise():
     model, obs = make_gruvae(), normal(3, 20, 11)
     before = signal_to_noise(model, obs)
     assert before.shape == (4,) and (before > 0).all()
@@ -65,7 +65,7 @@ def test_a_louder_latent_has_less_signal():
     assert torch.allclose(signal_to_noise(model, obs), before / 4, rtol=1e-3)
 
 
-def test_everything_is_measured_at_every_step_that_is_asked_for(played, monkeypatch):
+def test_every_quantity_is_measured_at_every_given_step(played, monkeypatch):
     monkeypatch.setattr(latent_noise, "SAMPLES", (1, 2))
     defense, episodes = played
     found = measure(ATTACK, defense, episodes, (1, 5), steps=2)

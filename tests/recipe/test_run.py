@@ -10,7 +10,7 @@ def a_victim(seed: int) -> Victim:
     return Victim([11, 16, 3], [14, 16, 1])
 
 
-def test_with_another_victim_goes_what_was_made_of_the_last_and_nothing_else(tmp_path):
+def test_a_new_victim_removes_only_what_the_last_led_to(tmp_path):
     run = Run.of(tmp_path, "hopper", "td3", "tiny")
     run.forget_others(a_victim(0))  # there was none before
     models.save_victim("hopper", "td3", a_victim(0), {}, tmp_path)

@@ -95,7 +95,7 @@ def test_every_scale_plans_the_whole_graph_for_all_ten_rows(tmp_path, scale):
     assert sorted(named) == sorted(expected)
 
 
-def test_each_rule_runs_its_stage_for_the_victims_that_the_list_names(tmp_path):
+def test_each_rule_runs_its_stage_for_the_listed_victims(tmp_path):
     config = yaml.safe_load((DATA / "config" / "tiny.yaml").read_text())
     printed = run(tmp_path, "--dry-run", "--printshellcmds")
     for stage in STAGES.values():
@@ -133,7 +133,7 @@ def test_a_profile_is_for_the_executor_of_its_name(profile):
     assert settings["executor"] == profile and settings["jobs"] > 1
 
 
-def test_a_row_may_be_asked_for_alone_and_without_films(tmp_path):
+def test_one_row_can_be_planned_alone_without_films(tmp_path):
     rows = planned(run(tmp_path, "--dry-run", "--config", "only=hopper-td3 ant-ppo", "films=false"))
     assert rows == dict(
         victim=4, select=2, qfunction=1, trajectories=3, augmentation=3, detector=3, denoiser=9, timing=2,
@@ -145,7 +145,7 @@ def test_a_row_may_be_asked_for_alone_and_without_films(tmp_path):
     assert own == dict(victim=1, select=1, defend=1, all=1)
 
 
-def test_only_what_is_worth_it_is_published(tmp_path):
+def test_the_tiny_scale_cannot_be_published(tmp_path):
     assert planned(run(tmp_path, "--dry-run", "publish", scale="lite"))["publish"] == 1
     assert "No rule to produce publish" in refuse(tmp_path, "--dry-run", "publish")
 
@@ -157,7 +157,7 @@ def test_only_what_is_worth_it_is_published(tmp_path):
         (["--config", "films=maybe"], "films is 'maybe'; it must be true or false"),
     ],
 )
-def test_what_the_recipe_does_not_know_it_refuses(tmp_path, arguments, message):
+def test_unknown_settings_are_refused(tmp_path, arguments, message):
     printed = refuse(tmp_path, "--dry-run", *arguments)
     assert message in printed and "Traceback" not in printed
 
@@ -202,7 +202,7 @@ def killed(tmp_path_factory) -> tuple[Path, dict[str, int]]:
     return folder, had
 
 
-def test_a_killed_run_goes_on_and_makes_nothing_twice(killed):
+def test_a_killed_run_resumes_and_makes_nothing_twice(killed):
     folder, had = killed
     now = files(folder)
     assert len([name for name in had if name.endswith(".safetensors")]) >= 8
@@ -229,7 +229,7 @@ def test_a_run_makes_everything_of_its_row(killed):
         } == names
 
 
-def test_how_long_the_stages_took_is_measured(killed):
+def test_the_time_of_every_stage_is_measured(killed):
     record = durations.measure(killed[0])
     assert set(record["rows"]["hopper-ppo"]) == set(durations.RULES) - {"publish", "table"} - {
         "look", "portrait", "epsilon", "planning", "barrier", "curve", "gallery", "slip", "defend",
@@ -242,7 +242,7 @@ def test_how_long_the_stages_took_is_measured(killed):
     )
 
 
-def test_a_finished_run_has_nothing_to_do_and_what_is_lost_is_made_anew(killed):
+def test_only_what_depends_on_a_lost_file_runs_again(killed):
     folder, _ = killed
     only = ("--dry-run", "--config", "only=hopper-ppo", "films=false")
     assert "Nothing to be done" in run(folder, *only)
@@ -251,14 +251,14 @@ def test_a_finished_run_has_nothing_to_do_and_what_is_lost_is_made_anew(killed):
     assert set(planned(run(folder, *only))) == again
 
 
-def test_the_files_may_lie_on_a_volume_that_snakemake_does_not_see(tmp_path):
+def test_the_files_may_lie_on_an_invisible_volume(tmp_path):
     volume, work = tmp_path / "volume", tmp_path / "work"
     run(work, "walker2d-ppo/victim.json", "--jobs", "2", "--config", f"root={volume}")
     assert models.load_victim("walker2d", "ppo", volume).obs_dim == 17
     assert (work / "walker2d-ppo" / "victim.json").read_bytes() == b""
 
 
-def test_whom_the_defended_adversaries_attack_is_the_librarys_main_defence(tmp_path):
+def test_the_defended_adversaries_attack_the_main_defence(tmp_path):
     printed = run(tmp_path, "--dry-run", "--printshellcmds", "--config", "only=hopper-td3")
     parts = {f"hopper-td3/detector-{VARIANTS[MAIN].data}.json", f"hopper-td3/denoiser-{MAIN}.json"}
     for rule, others in (("adversary_defended", set()), ("adaptive", set(cells.RESIDUAL_OR_NOT))):
@@ -268,7 +268,7 @@ def test_whom_the_defended_adversaries_attack_is_the_librarys_main_defence(tmp_p
         assert others or found == parts
 
 
-def test_what_each_variant_is_trained_on_is_what_the_library_says(tmp_path):
+def test_each_variant_is_trained_on_the_listed_data(tmp_path):
     printed = run(tmp_path, "--dry-run", "--printshellcmds", "--config", "only=hopper-td3")
     for name, variant in VARIANTS.items():
         (needed,) = re.findall(rf"input: (.+)\n    output: hopper-td3/denoiser-{name}\.safetensors", printed)

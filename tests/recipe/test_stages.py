@@ -99,7 +99,7 @@ def test_the_recipe_makes_everything_that_the_library_loads(request, algo):
     }
 
 
-def test_a_ppo_victim_is_shipped_with_its_normaliser_and_the_q_function_that_it_learned(tiny_ppo):
+def test_a_ppo_victim_is_stored_with_normaliser_and_q_function(tiny_ppo):
     victim, obs = models.load_victim("hopper", "ppo", tiny_ppo), normal(5, 11)
     assert victim.action_std is not None and (victim.obs_std != 1).all()
     assert victim.q(obs, victim(obs)).shape == (5,) and not torch.equal(victim.q(obs, victim(obs)), victim.value(obs))
@@ -109,7 +109,7 @@ def test_a_ppo_victim_is_shipped_with_its_normaliser_and_the_q_function_that_it_
     assert manifest.read_json(tiny_ppo / "hopper-ppo" / "victim.json", tiny_ppo)["recipe"]["gae_lambda"] == 0.95
 
 
-def test_the_timing_is_tuned_on_the_value_network_and_not_on_the_learned_q(tiny_ppo, tmp_path):
+def test_the_timing_is_tuned_on_the_value_network(tiny_ppo, tmp_path):
     """V of a PPO victim is its own, whether a Q was learned or not."""
     copy = shutil.copytree(tiny_ppo, tmp_path / "copy")
     before = (copy / "hopper-ppo" / "timing.json").read_bytes()
@@ -119,7 +119,7 @@ def test_the_timing_is_tuned_on_the_value_network_and_not_on_the_learned_q(tiny_
     assert (copy / "hopper-ppo" / "timing.json").read_bytes() == before
 
 
-def test_a_q_function_that_is_lost_is_learned_anew_and_the_same(tiny_ppo, tmp_path):
+def test_a_lost_q_function_is_learned_again_the_same(tiny_ppo, tmp_path):
     copy = shutil.copytree(tiny_ppo, tmp_path / "copy")
     (copy / "hopper-ppo" / "critic.safetensors").unlink()
     run_stage(copy, "qfunction", algo="ppo")
@@ -219,7 +219,7 @@ def test_the_threshold_is_calibrated_on_held_out_episodes(tiny):
     assert card["calibration_quantiles"]["0.5"] == pytest.approx(np.median(scores))
 
 
-def test_what_is_lost_or_harmed_is_made_anew_and_the_same(tiny, copy):
+def test_a_lost_or_damaged_file_is_made_again_the_same(tiny, copy):
     shard = "hopper-td3/normal-diverse/00000"
     harms = {
         "collect": [f"{shard}.json", "hopper-td3/calibration/00000.safetensors"],
@@ -389,7 +389,7 @@ for stage in sys.argv[2:]:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such quota")
-def test_a_full_disk_stops_every_stage_with_one_line_and_leaves_what_there_was(tiny, copy):
+def test_a_full_disk_stops_every_stage_and_changes_nothing(tiny, copy):
     """For each stage something is missing; but ``select`` would replace what is there."""
     folder = copy / "hopper-td3"
     lost = dict(
@@ -416,7 +416,7 @@ def test_a_full_disk_stops_every_stage_with_one_line_and_leaves_what_there_was(t
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such quota")
-def test_what_the_disk_refuses_is_one_line_and_the_status_1(tmp_path):
+def test_an_error_of_the_disk_is_one_line(tmp_path):
     """Not only a file of ours that is too large: here a folder cannot be made where a file stands."""
     (tmp_path / "hopper-td3").write_text("in the way")
     result = command_line("victim", "--root", str(tmp_path))

@@ -21,7 +21,7 @@ from detden_lite.store import manifest
 EPISODES = seeds("tuning", 4)
 
 
-def test_every_size_is_what_the_attack_of_that_size_does():
+def test_each_size_gives_the_returns_of_its_own_attack():
     victim = make_victim(seed=8)
     found = over_sizes(HOPPER, victim, Threat(BUDGET, 3), EPISODES, ("uniform", "opposite"), (0.0, 2.0), steps=20)
     assert json.loads(json.dumps(found, allow_nan=False)) == found
@@ -36,7 +36,7 @@ def test_every_size_is_what_the_attack_of_that_size_does():
         assert double["estimate"]["mean"] == pytest.approx(np.mean(double["returns"]))
 
 
-def test_every_planner_is_tried_on_robots_that_are_on_their_way():
+def test_every_planner_attacks_robots_that_already_walk():
     victim, settings = make_victim(seed=8), dict(horizon=2, population=4, iterations=1, elites=2)
     found = over_planners(HOPPER, victim, BUDGET, EPISODES, [settings, settings | dict(horizon=4)], begin=5, steps=12)
     assert json.loads(json.dumps(found, allow_nan=False)) == found
@@ -49,7 +49,7 @@ def test_every_planner_is_tried_on_robots_that_are_on_their_way():
     assert first["plans_per_second"] > 0
 
 
-def test_what_is_swept_has_no_duplicates_and_contains_what_is_reported():
+def test_the_sweeps_have_no_duplicates_and_contain_the_defaults():
     assert 1.0 in SIZES and len(set(SIZES)) == len(SIZES)
     for scale in SCALES:
         found = get_scale(scale, HOPPER)
