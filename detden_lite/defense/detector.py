@@ -13,6 +13,11 @@ def linf_score(obs: Tensor, reconstruction: Tensor, scale: Tensor) -> Tensor:
     """The l-infinity distance of observation and reconstruction in units of ``scale``, over the last dimension.
 
     With D_normal's standard deviations as ``scale`` it is the error of the worst observation, in its deviations.
+
+    Example:
+        >>> import torch
+        >>> linf_score(torch.tensor([[1.0, 2.0]]), torch.zeros(1, 2), scale=torch.tensor([0.1, 1.0]))
+        tensor([10.])
     """
     return ((obs - reconstruction) / scale).abs().amax(-1)
 

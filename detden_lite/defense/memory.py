@@ -1,4 +1,4 @@
-"""What a part of a defence remembers of the episodes under way: a GRU-VAE's states, or nothing."""
+"""The memory of a part of a defence: the states of a GRU-VAE in the episodes under way, or none."""
 
 from collections.abc import Sequence
 
@@ -18,7 +18,7 @@ class Recurrent:
         sample: whether to sample the latent, as the paper does, or to take its mean.
 
     Attributes:
-        state: what the GRUs remember, see ``detden_lite.defense.gruvae.State``; None before the first observation.
+        state: the memory of the GRUs, see ``detden_lite.defense.gruvae.State``; None before the first observation.
     """
 
     state: State | None

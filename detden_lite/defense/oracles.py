@@ -1,4 +1,4 @@
-"""The ceiling: a detector and a denoiser that are told the truth. The gap to an oracle is what that part costs.
+"""The ceiling: a detector and a denoiser that know the truth. The gap to an oracle is what a real part costs.
 
 No defender knows the truth. So an oracle declares that it ``needs`` it, and ``rollout`` reveals it before each
 observation. An oracle that was not told refuses to answer: nothing that runs on a robot can use it by mistake.

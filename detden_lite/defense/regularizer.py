@@ -1,7 +1,7 @@
 """The robustness regularizer: pi(den(.)) should do the same, attacked or not (section 3.1.2).
 
-The paper optimises L_den + R, which cannot be right: its L_den is an ELBO, to be maximised, and R is to be small. What
-is minimised here is -L_den + lambda R; see ``detden_lite.defense.training`` for the units.
+The paper optimises L_den + R, which cannot be right: its L_den is an ELBO, to be maximised, and R is to be small. Here
+-L_den + lambda R is minimised; see ``detden_lite.defense.training`` for the units.
 """
 
 from dataclasses import dataclass
@@ -32,8 +32,8 @@ class Regularizer:
         victim: pi. A Gaussian policy's mean is compared before it is clipped, as in the opposite attack.
         budget: the ball.
         steps: gradient steps of the inner attack, from a random start.
-        reference: what the attacked action is compared with: "denoised" for pi(den(o)), as the paper has it; "true" for
-            pi(o), which no denoiser can approach by ignoring what it sees.
+        reference: the action to compare the attacked one with: "denoised" for pi(den(o)), as the paper has it; "true"
+            for pi(o), which no denoiser can approach by ignoring its input.
 
     Raises:
         ValueError: for fewer than one step or another reference.

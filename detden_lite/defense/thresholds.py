@@ -15,6 +15,12 @@ def clean_scores(detector: Detector, trajectories: Trajectories, batch: int = 12
         detector: is reset, and so forgets the episodes under way.
         trajectories: clean ones, for a threshold.
         batch: episodes at once.
+
+    Example:
+        >>> from detden_lite import Gaussian, MahalanobisDetector
+        >>> detector = MahalanobisDetector(Gaussian(torch.zeros(1), torch.eye(1)), threshold=np.inf)
+        >>> clean_scores(detector, Trajectories(np.array([[[1.0], [2.0], [0.0]]], np.float32), np.array([2])))
+        array([1., 2.], dtype=float32)
     """
     scores = []
     for start in range(0, len(trajectories), batch):
@@ -26,9 +32,9 @@ def clean_scores(detector: Detector, trajectories: Trajectories, batch: int = 12
 
 
 def calibrate(clean_scores: np.ndarray, false_alarm_rate: float = 0.01) -> float:
-    """The threshold that this fraction of clean scores exceeds, C_anomaly without having seen any attack.
+    """The threshold that this fraction of clean scores exceeds: C_anomaly without any knowledge of attacks.
 
-    It says what these scores do, and promises nothing of others: see ``conformal_threshold``.
+    It describes these scores, and guarantees nothing for others: see ``conformal_threshold``.
 
     Args:
         clean_scores: scores of held-out normal observations, any shape, without padding.
@@ -36,6 +42,10 @@ def calibrate(clean_scores: np.ndarray, false_alarm_rate: float = 0.01) -> float
 
     Raises:
         ValueError: for another rate, or if there is no score or one that is not finite.
+
+    Example:
+        >>> calibrate(np.arange(100.0), false_alarm_rate=0.05)
+        95.0
     """
     _check_rate(false_alarm_rate)
     if clean_scores.size == 0 or not np.isfinite(clean_scores).all():
@@ -46,19 +56,19 @@ def calibrate(clean_scores: np.ndarray, false_alarm_rate: float = 0.01) -> float
 def conformal_threshold(episodes: Sequence[np.ndarray], false_alarm_rate: float = 0.01) -> float:
     """The split-conformal C_anomaly: a random step of a new clean episode is a false alarm with at most this chance.
 
-    The promise holds for any number of episodes and any detector that was not trained on them, on average over the
-    episodes drawn for calibration, as long as the new episode is drawn like them: once the defence acts on a false
-    alarm, what follows is no such episode any more. The steps of an episode resemble each other, so that it is episodes
-    that are counted: each weighs 1 / (n + 1), shared by its steps, and the last 1 / (n + 1) stands for the new one,
-    whose scores could be anything (hierarchical conformal prediction, Lee et al., 2023). With one score an episode this
-    is the ceil((n + 1) (1 - rate))-th smallest of n.
+    The guarantee holds for any number of episodes and any detector that was not trained on them, on average over random
+    calibration episodes, as long as the new episode comes from the same distribution. It ends where the defence acts on
+    a false alarm: the rest of that episode has another distribution. The steps of an episode resemble each other, so
+    that episodes are counted, not steps: each weighs 1 / (n + 1), shared by its steps, and the last 1 / (n + 1) is for
+    the new one, whose scores could be anything (hierarchical conformal prediction, Lee et al., 2023). With one score an
+    episode this is the ceil((n + 1) (1 - rate))-th smallest of n.
 
     Args:
         episodes: scores of each held-out clean episode, ``[steps]`` each.
         false_alarm_rate: between 0 and 1.
 
     Returns:
-        The threshold; infinite if there are too few episodes to promise that, fewer than 1 / rate - 1.
+        The threshold; infinite if there are too few episodes to guarantee that, fewer than 1 / rate - 1.
 
     Raises:
         ValueError: for another rate, or if there is no episode, one without a score, or a score that is not finite.
@@ -76,8 +86,8 @@ def conformal_threshold(episodes: Sequence[np.ndarray], false_alarm_rate: float 
 def tuned_threshold(scores: np.ndarray, attacked: np.ndarray, misses: float = 0.01) -> float:
     """The paper's C_anomaly: the false-negative rate near 0, and then the best F1 (appendix C.2).
 
-    The paper does not say on which episodes. They must be others than those reported, and the attacks in them are known
-    to the detector from then on.
+    The paper does not say on which episodes. They must be others than those reported. The detector is then fitted to
+    the attacks in them.
 
     Args:
         scores: of tuning steps, clean and attacked, any shape, without padding.
@@ -89,6 +99,10 @@ def tuned_threshold(scores: np.ndarray, attacked: np.ndarray, misses: float = 0.
 
     Raises:
         ValueError: if the shapes differ, a score is not finite, no step is clean or none attacked, or for other misses.
+
+    Example:
+        >>> tuned_threshold(np.array([0.0, 1.0, 4.0, 5.0]), attacked=np.array([False, False, True, True]))
+        2.5
     """
     scores, attacked = np.asarray(scores).ravel(), np.asarray(attacked, dtype=bool).ravel()
     if scores.shape != attacked.shape or not np.isfinite(scores).all():

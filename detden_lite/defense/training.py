@@ -14,7 +14,7 @@ from detden_lite.core.random_streams import derived_seed
 from detden_lite.core.types import Trajectories
 from detden_lite.defense.augmentation import check_trajectories, intermittent
 from detden_lite.defense.checkpoint import Parts, resume, save_checkpoint
-from detden_lite.defense.gruvae import GRUVAE, LEAST_STD, State, kl_divergence, reconstruction_loss
+from detden_lite.defense.gruvae import GRUVAE, LEAST_STD, kl_divergence, reconstruction_loss
 from detden_lite.defense.regularizer import Regularizer
 
 Pair = tuple[Trajectories, Trajectories]  # input and target
@@ -47,10 +47,8 @@ class VAERecipe:
         ValueError: for another prior, or a number out of these ranges.
 
     Example:
-        >>> from dataclasses import replace
-        >>> recipe = VAERecipe(hidden=8, latent=2, epochs=1)
-        >>> replace(recipe, residual=True).residual
-        True
+        >>> VAERecipe(hidden=8, latent=2, epochs=1).beta
+        0.001
     """
 
     hidden: int = 64
@@ -84,8 +82,7 @@ def train_gruvae(
 ) -> GRUVAE:  # fmt: skip
     """Maximise the ELBO of L_det or L_den (section 3.1) over all pairs of (input, target) trajectories.
 
-    Every epoch seeds torch's global generator by (seed, epoch), so that a run resumed from its checkpoint equals one
-    that never stopped.
+    Every epoch seeds torch's global generator by (seed, epoch), so that a resumed run equals one that never stopped.
 
     Observations are measured in their standard deviations. Some dimensions are dominated by the perturbation: an attack
     moves them by more than ten of these, so that the input tells nothing of the truth. They are measured in the largest
@@ -96,8 +93,7 @@ def train_gruvae(
         pairs: ``[(normal, normal)]`` for a detector; for a denoiser an ``(adversarial, normal)`` of each attack too.
         seed: of initialisation, order and latent samples.
         checkpoint: file to write after every epoch and to resume from; None for neither.
-        after_epoch: called with (epoch, model) after each epoch; a resumed run first calls it again for the last
-            finished one.
+        after_epoch: called with (epoch, model) after each epoch; again for the last finished one of a resumed run.
         label: text of the progress bar.
         regularizer: R, for a recipe with ``lam`` above 0.
 
@@ -106,7 +102,7 @@ def train_gruvae(
 
     Raises:
         ValueError: if the checkpoint is of another recipe or seed, ``lam`` is above 0 and there is no regularizer, or
-            ``pairs`` is empty, not finite, or pairs different trajectories.
+            ``pairs`` is empty, not finite or of different trajectories.
         ArtifactError: if the checkpoint is damaged.
 
     Example:
@@ -182,8 +178,7 @@ def _train_on(
     inputs, targets = torch.from_numpy(perturbed), torch.from_numpy(true)
     mask = torch.from_numpy(np.stack([np.arange(inputs.shape[1]) < pairs[p][1].lengths[i] for p, i in batch]))
     some = slice(math.ceil(len(batch) / len(pairs)))  # R is taken of as many sequences an epoch as D_normal has
-    state: State | None = None
-    total = 0.0
+    total, state = 0.0, None
     starts = range(0, int(mask.sum(1).max()), recipe.chunk)
     for start in starts:
         part = slice(start, start + recipe.chunk)

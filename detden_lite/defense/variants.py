@@ -14,7 +14,11 @@ class Variant:
     Args:
         data: the exploration in its D_normal, a key of ``DATASETS``.
         adversarial: the parts of D_adv that its denoiser is trained on, among ``PARTS``.
-        recipe: what its denoiser changes in the scale's ``VAERecipe``.
+        recipe: the settings of its denoiser that differ from the scale's ``VAERecipe``.
+
+    Example:
+        >>> VARIANTS[MAIN].recipe["residual"]
+        True
     """
 
     data: str
@@ -39,7 +43,7 @@ VARIANTS = {
 
 MAIN = "mixed"  # the defence of the tables
 
-ABLATIONS = {  # of the main defence: what each changes in it
+ABLATIONS = {  # changes of the main defence, one each
     "always": "denoises at every step, whatever the detector says",
     "detector-only": "shows the detector's own reconstruction: there is no denoiser",
     "latent-mean": "takes the latent's mean instead of a sample",
@@ -47,7 +51,7 @@ ABLATIONS = {  # of the main defence: what each changes in it
     "tuned": "the paper's threshold, tuned on attacked episodes",
 }
 
-BASELINES = {  # what replaces one of its networks
+BASELINES = {  # replacements of one of its networks
     "identity": "a denoiser that does nothing",
     "kalman": "a Kalman filter as denoiser",
     "autoencoder": "a denoising auto-encoder without memory as denoiser",
@@ -60,6 +64,6 @@ CEILINGS = {
     "oracle-denoiser": "a denoiser that knows the truth",
 }
 
-EXPLAINING = ("always", "projected", *CEILINGS)  # what tells which part of a defence falls short
+EXPLAINING = ("always", "projected", *CEILINGS)  # these show which part of a defence falls short
 
 ASSEMBLED = ABLATIONS | BASELINES | CEILINGS

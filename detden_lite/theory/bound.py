@@ -141,10 +141,6 @@ def alpha(gamma: float, reward_range: float) -> float:
 
     Raises:
         ValueError: for another gamma.
-
-    Example:
-        >>> alpha(gamma=0.5, reward_range=2.0)
-        8.0
     """
     return _checked(gamma, reward_range) / (1 - gamma) ** 2
 
@@ -185,20 +181,13 @@ def largest_gamma(tv: float) -> float:
 
     Put otherwise, the bound speaks only if the horizon 1 / (1 - gamma) is shorter than 1 / TV, the expected number of
     steps until the two robots part.
-
-    Raises:
-        ValueError: for a ``tv`` that is not between 0 and 1.
     """
     check_between(0, 1, tv=tv)
     return max(0.0, 1 - tv)
 
 
 def beta(alpha: float, lipschitz: float, c_2: float, c_1: float = 0.5) -> float:
-    """The factor of the paper's theorem 1, alpha L sqrt(C_1 C_2 / 2). L and C_2 are those of pi, and so beta is too.
-
-    Raises:
-        ValueError: for a negative factor.
-    """
+    """The factor of the paper's theorem 1, alpha L sqrt(C_1 C_2 / 2). L and C_2 are those of pi, and so beta is too."""
     check_between(0, inf, alpha=alpha, lipschitz=lipschitz, c_2=c_2, c_1=c_1)
     return alpha * lipschitz * sqrt(0.5 * c_1 * c_2)
 

@@ -9,7 +9,7 @@ from detden_lite.core.arguments import check_between
 
 @dataclass(frozen=True)
 class FiniteMDP:
-    """States and actions are numbers; the policy observes the state, or what an attacker shows it instead.
+    """An MDP of numbered states and actions; the policy observes the state, or another one that an attacker shows.
 
     Args:
         transition: P(s' | s, a), ``[S, A, S]``.
@@ -47,7 +47,7 @@ class FiniteMDP:
 
     @property
     def reward_range(self) -> float:
-        """R_max - R_min over what can happen."""
+        """R_max - R_min over all transitions that can happen."""
         possible = self.reward[self.transition > 0]
         return float(possible.max() - possible.min())
 
@@ -131,7 +131,7 @@ def leaving(gamma: float, tv: float) -> tuple[FiniteMDP, np.ndarray]:
 
 
 def check_policy(policy: np.ndarray, shape: tuple[int, ...]) -> None:
-    """Refuse what is no policy pi(a | s) of this shape ``[S, A]``; a ValueError says why."""
+    """Refuse an array that is no policy pi(a | s) of this shape ``[S, A]``; a ValueError says why."""
     if policy.shape != shape or policy.ndim != 2:
         raise ValueError(f"policy must be [S, A] = {list(shape)}, not {list(policy.shape)}")
     if not (policy >= 0).all() or not np.allclose(policy.sum(-1), 1):

@@ -142,14 +142,14 @@ def is_attacked(mixed: np.ndarray) -> np.ndarray:
     return (mixed != TRUE).any(-1)
 
 
-def test_attacked_always_and_at_its_own_size_is_the_attack():
+def test_full_share_and_full_size_give_the_attack_itself():
     found = intermittent(TRUE, attacked_everywhere(), least_share=1, least_size=1)
     assert found.dtype == np.float32 and np.allclose(found, attacked_everywhere(), atol=1e-6)
 
 
 @steady
 @given(st.sampled_from(NORMS), st.floats(0, 1), st.floats(0, 1), st.integers(1, 300), st.integers(0, 9))
-def test_what_is_mixed_stays_in_the_ball(norm, least_share, least_size, run, seed):
+def test_mixed_sequences_stay_in_the_ball(norm, least_share, least_size, run, seed):
     budget = Budget(0.3, norm, torch.tensor([0.5, 1.0, 2.0]))
     found = intermittent(TRUE, attacked_everywhere(budget), least_share, least_size, seed, run)
     true, found = (torch.from_numpy(obs).flatten(0, 1) for obs in (TRUE, found))
@@ -157,7 +157,7 @@ def test_what_is_mixed_stays_in_the_ball(norm, least_share, least_size, run, see
 
 
 @pytest.mark.parametrize("least_share", [0.0, 0.5, 0.9])
-def test_the_share_of_attacked_steps_is_drawn_for_each_sequence(least_share):
+def test_each_sequence_has_its_own_random_share_of_attacks(least_share):
     shares = is_attacked(intermittent(TRUE, attacked_everywhere(), least_share, run=1)).mean(1)
     assert abs(shares.mean() - (least_share + 1) / 2) < 0.05 and shares.min() > least_share - 0.2
     assert shares.std() == pytest.approx((1 - least_share) / np.sqrt(12), abs=0.04)
@@ -179,7 +179,7 @@ def test_the_seed_decides_what_is_mixed():
     assert np.array_equal(first, again) and not np.array_equal(first, other)
 
 
-def test_of_clean_sequences_nothing_is_attacked():
+def test_clean_sequences_stay_clean():
     assert np.array_equal(intermittent(TRUE, TRUE, 0.5, 0.5), TRUE)
 
 

@@ -41,7 +41,7 @@ def same(model, other) -> bool:
 
 
 @pytest.mark.parametrize("residual", [False, True])
-def test_it_brings_what_lies_beside_the_data_back_to_it(residual):
+def test_noisy_observations_are_brought_back_to_the_data(residual):
     model = train_autoencoder(NORMAL, INPUTS, 0, residual=residual, **SMALL)
     truth = lines(seed=7)
     seen = noisy(truth, 8)
@@ -68,7 +68,7 @@ def test_it_is_residual_or_not_and_z_scores():
         assert torch.allclose(model(3 * obs + 5), expected, atol=1e-4)
 
 
-def test_the_statistics_are_those_of_normal_data_and_constants_are_not_blown_up():
+def test_statistics_come_from_normal_data_with_a_least_deviation():
     model = train_autoencoder(NORMAL, INPUTS, 0, epochs=1)
     seen = NORMAL.obs[NORMAL.mask]
     assert np.allclose(model.obs_mean, seen.mean(0), rtol=1e-4)

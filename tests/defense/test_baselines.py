@@ -41,7 +41,7 @@ def close(one, other) -> bool:
 
 
 @pytest.mark.parametrize("make", DETECTORS + DENOISERS)
-def test_all_episodes_together_are_each_alone_and_a_reset_begins_anew(make):
+def test_batched_episodes_equal_single_ones_and_reset_forgets(make):
     obs, part = normal(5, 12, 11), make()
     together = play(part, obs)
     assert all(a.shape[:2] == (5, 12) for a in together)
@@ -52,7 +52,7 @@ def test_all_episodes_together_are_each_alone_and_a_reset_begins_anew(make):
 
 @pytest.mark.parametrize("make", DETECTORS + DENOISERS)
 @pytest.mark.parametrize("steps", [0, 4])
-def test_a_row_may_begin_another_episode_while_the_others_go_on(make, steps):
+def test_restart_begins_an_episode_in_the_given_row_only(make, steps):
     obs, part = normal(3, 10, 11), make()
     whole, anew = play(make(), obs), play(make(), obs[1:2, steps:])
     part.reset(range(3))
@@ -100,7 +100,7 @@ def test_the_identity_errs_by_the_size_of_the_attack():
 # The Kalman filter.
 
 
-def test_it_is_the_textbooks_scalar_recursion_once_that_has_settled():
+def test_the_settled_kalman_filter_equals_the_scalar_recursion():
     a, b, q, epsilon = 0.95, 0.2, 0.04, 0.3
     scalars = (torch.tensor(x).double() for x in ([[a]], [b], [[q]], [1.0]))
     obs = normal(1, 400, 1) + 4
@@ -115,7 +115,7 @@ def test_it_is_the_textbooks_scalar_recursion_once_that_has_settled():
     assert abs(float(found.flatten()[1]) - textbook[1]) > 1e-3  # which takes a few steps
 
 
-def test_of_a_linear_system_it_shows_better_what_was_measured_with_noise():
+def test_the_kalman_filter_beats_noisy_measurements_and_separate_filters():
     """Better than the raw measurement, and than filters of one dimension each, which know nothing of the others."""
     model = LinearModel.fit(planted()[0])
     fresh, *_ = planted(n=20, seed=1)
@@ -137,7 +137,7 @@ def test_of_a_linear_system_it_shows_better_what_was_measured_with_noise():
 
 
 @pytest.mark.parametrize("norm", [inf, 2, 1])
-def test_a_filter_that_fears_no_attack_believes_its_eyes_and_one_that_fears_any_its_memory(norm):
+def test_no_noise_trusts_observations_and_large_noise_the_model(norm):
     obs = normal(4, 6, 11)
     [trusting] = play(KalmanFilter(LINEAR, Budget(0.0, norm)), obs)
     assert torch.allclose(trusting, obs, atol=1e-5)
@@ -149,7 +149,7 @@ def test_a_filter_that_fears_no_attack_believes_its_eyes_and_one_that_fears_any_
         expected = stable.predict(expected[None])[0].float()
 
 
-def test_what_all_dimensions_share_is_less_for_each():
+def test_norms_2_and_1_share_the_noise_among_dimensions():
     gains = [KalmanFilter(LINEAR, budget).gain for budget in (Budget(2.0, 2), Budget(2.0, 1), Budget(2 / sqrt(11)))]
     assert torch.allclose(gains[0], gains[2]) and torch.allclose(gains[1], gains[2])
     assert torch.equal(KalmanFilter(LINEAR, Budget(0.5, scale=torch.full((11,), 4.0))).gain,
@@ -161,7 +161,7 @@ def test_what_all_dimensions_share_is_less_for_each():
 
 @steady
 @given(st.integers(0, 2**32 - 1))
-def test_the_distances_are_scipys(seed):
+def test_the_scores_are_the_mahalanobis_distances_of_scipy(seed):
     obs = torch.from_numpy(np.random.default_rng(seed).normal(size=(4, 3, 11)).astype(np.float32))
     score, alarm, reconstruction = play(MahalanobisDetector(GAUSSIAN, 3.0), obs)
     inverse = np.linalg.inv(GAUSSIAN.covariance)
@@ -177,7 +177,7 @@ def test_the_distances_are_scipys(seed):
         assert torch.equal(reconstruction[:, t], predicted.float())
 
 
-def test_of_normal_data_the_squared_distances_are_obs_dim_in_the_mean():
+def test_the_mean_squared_distance_of_normal_data_is_obs_dim():
     scores = clean_scores(MahalanobisDetector(GAUSSIAN, 3.0), NORMAL)
     assert np.square(scores).mean() == pytest.approx(11, rel=1e-3)
     scores = clean_scores(PredictionDetector(LINEAR, 3.0), NORMAL).reshape(20, 30)[:, 1:]
@@ -190,7 +190,7 @@ def test_an_episodes_first_observation_follows_from_nothing():
     assert torch.equal(reconstruction[:, 0], normal(3, 2, 11)[:, 0] + 50)
 
 
-def test_noise_on_a_robots_observations_is_noticed_and_its_own_motion_is_not():
+def test_baseline_detectors_notice_noise_and_accept_clean_motion():
     victim = make_victim(seed=8)
     clean = collect_normal(victim, HOPPER, range(40), steps=20)
     held_out = collect_normal(victim, HOPPER, range(100, 120), steps=20)

@@ -1,4 +1,4 @@
-"""A defended policy predicts as its parts do by hand, whoever asks and for how many episodes at once."""
+"""A defended policy predicts as its parts do by hand, alone or with other episodes."""
 
 import copy
 import pickle
@@ -29,7 +29,7 @@ def predict(policy: Defended, obs, starts=None) -> np.ndarray:
     return np.stack([policy.predict(o, episode_start=s)[0] for o, s in zip(obs, starts, strict=True)])
 
 
-def test_it_acts_as_the_victim_does_on_what_the_defence_lets_through():
+def test_it_acts_as_the_victim_on_the_defended_observations():
     policy, by_hand = make_defended(), make_defense(4)
     by_hand.reset(range(5))
     alarms = []
@@ -52,7 +52,7 @@ def test_one_by_one_is_the_same_as_together():
 
 
 def test_it_remembers_and_where_an_episode_starts_it_forgets():
-    """The last six steps alone give what they give where their first is said to be a start, and something else else."""
+    """Six last steps that begin with a start give the actions of a new episode; without it, others."""
     starts = np.zeros((12, 5), bool)
     starts[6, [1, 3]] = True
     found, on = predict(make_defended(), OBS, starts), predict(make_defended(), OBS)
@@ -64,7 +64,7 @@ def test_it_remembers_and_where_an_episode_starts_it_forgets():
     assert np.array_equal(found[:6], on[:6]) and not np.allclose(found[6:, [1, 3]], on[6:, [1, 3]], atol=1e-3)
 
 
-def test_all_starts_at_once_may_be_of_another_number_of_episodes():
+def test_a_full_restart_may_change_the_number_of_episodes():
     policy = make_defended()
     predict(policy, OBS)
     action, _ = policy.predict(OBS[0, :2], episode_start=[True, True])
@@ -74,7 +74,7 @@ def test_all_starts_at_once_may_be_of_another_number_of_episodes():
     assert np.array_equal(action, with_reset.predict(OBS[0, :2])[0])
 
 
-def test_the_same_episodes_get_the_same_actions_and_another_loop_does_not_disturb():
+def test_another_defended_loop_changes_no_action():
     first, second = make_defended(), make_defended()
     expected = predict(make_defended(), OBS)
     for step in range(12):
@@ -83,12 +83,12 @@ def test_the_same_episodes_get_the_same_actions_and_another_loop_does_not_distur
         first.defense.reset([9])  # a copy
 
 
-def test_it_is_what_rollout_does():
+def test_it_equals_rollout():
     episodes = rollout(VICTIM, TASK, range(3), defense=make_defended().defense, steps=4)  # numbered 0, 1, 2
     assert episodes.mask[:4].all() and np.array_equal(predict(make_defended(), episodes.obs), episodes.action)
 
 
-def test_a_gaussian_policy_draws_if_it_is_asked_to():
+def test_a_gaussian_policy_samples_if_it_is_asked_to():
     victim = make_victim(TASK, gaussian=True)
     victim.action_std.fill_(0.3)
     policy, mean = make_defended(victim), make_defended(victim).predict(np.zeros((2_000, 4)))[0]

@@ -35,7 +35,7 @@ PAIRS = [(NORMAL, NORMAL)]
 ATTACKED = Trajectories(NORMAL.obs + NORMAL.mask[..., None] * np.float32(0.3), NORMAL.lengths)
 BOTH = [*PAIRS, (ATTACKED, NORMAL)]
 REGULARIZER = Regularizer(Victim([3, 8, 2], [5, 8, 1]), BUDGET)
-# Each of what training can do besides: R, and inputs that are attacked now and then.
+# The two options of training: R, and inputs that are attacked now and then.
 MORE = [dict(lam=0.5), dict(least_share=0.2, least_size=0.5)]
 
 
@@ -56,7 +56,7 @@ def kill_after(last: int):
 
 
 @pytest.mark.parametrize(("last", "more"), [(0, {}), (2, {}), *((1, more) for more in MORE)])
-def test_a_training_that_is_killed_and_resumed_is_one_that_never_stopped(tmp_path, last, more):
+def test_a_killed_and_resumed_training_equals_an_uninterrupted_one(tmp_path, last, more):
     recipe, context = replace(RECIPE, **more), dict(regularizer=REGULARIZER)
     uninterrupted = train_gruvae(recipe, BOTH, seed=3, **context)
     path = tmp_path / "deep" / "model.ckpt"
@@ -69,7 +69,7 @@ def test_a_training_that_is_killed_and_resumed_is_one_that_never_stopped(tmp_pat
 
 
 @pytest.mark.parametrize("more", MORE)
-def test_what_is_switched_off_changes_no_weight(more):
+def test_options_that_are_switched_off_change_no_weight(more):
     """With lambda 0 no regularizer is called, and with sequences attacked throughout none is mixed."""
     plain = train_gruvae(RECIPE, BOTH, 0)
     assert same(train_gruvae(RECIPE, BOTH, 0, regularizer=REGULARIZER), plain)
@@ -192,7 +192,7 @@ class Planted:
     ],
     ids=["empty", "garbage", "cut", "overwritten", "of nothing", "not json", "no weights", "no optimizer", "pickle"],
 )
-def test_a_damaged_checkpoint_is_refused_with_its_name_and_the_remedy(tmp_path, damage):
+def test_a_damaged_checkpoint_is_refused_by_name(tmp_path, damage):
     path = tmp_path / "model.ckpt"
     with pytest.raises(Killed):
         train_gruvae(RECIPE, PAIRS, 0, path, kill_after(0))
@@ -238,7 +238,7 @@ def test_training_lowers_the_loss_on_trajectories_it_has_not_seen():
     assert loss(30) < 0.5 * loss(1)
 
 
-def test_a_denoiser_comes_closer_to_the_truth_than_what_it_is_given():
+def test_a_denoiser_comes_closer_to_the_truth_than_its_input():
     """Attacked trajectories are shifted by as much as they vary; half of the pairs are not attacked."""
 
     def attacked(t: Trajectories) -> Trajectories:
@@ -255,7 +255,7 @@ def test_a_denoiser_comes_closer_to_the_truth_than_what_it_is_given():
     )
 
 
-def test_what_an_attack_drowns_is_measured_by_the_attack_and_not_passed_on():
+def test_dimensions_dominated_by_the_perturbation_are_rescaled_and_not_added():
     """The second of three observations varies by seven, the others never; an attack moves each of them by three."""
     still = replace(NORMAL, obs=NORMAL.obs * np.float32([0, 1, 0]))
     attacked = replace(still, obs=still.obs + 3 * still.mask[..., None].astype(np.float32))
@@ -264,7 +264,7 @@ def test_what_an_attack_drowns_is_measured_by_the_attack_and_not_passed_on():
     std = still.obs[still.mask].std(0)[1]
     assert np.allclose(model.obs_std, [3, std, 3], rtol=1e-2) and 3 < 10 * std
     assert model.config["residual"] == [False, True, False]
-    # Without an attack, as a detector is trained, nothing is drowned.
+    # Without an attack, as a detector is trained, no dimension is dominated.
     model = train_gruvae(recipe, [(still, still)], 0)
     assert np.allclose(model.obs_std, [LEAST_STD, std, LEAST_STD], rtol=1e-2) and model.config["residual"] is True
 

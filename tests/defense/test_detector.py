@@ -19,7 +19,7 @@ def scores(detector, obs, episodes):
     return torch.stack([detector.step(o)[0] for o in obs.unbind(1)], 1)
 
 
-def test_the_score_is_the_largest_deviation_in_units_of_the_scale():
+def test_the_score_is_the_largest_scaled_deviation():
     obs, reconstruction = torch.tensor([[1.0, 2.0, 3.0]]), torch.tensor([[1.5, 2.0, 1.0]])
     assert linf_score(obs, reconstruction, torch.ones(3)).tolist() == [2.0]
     assert linf_score(obs, reconstruction, torch.tensor([0.1, 1.0, 1.0])).tolist() == [5.0]
@@ -39,7 +39,7 @@ def test_an_alarm_is_a_score_above_the_threshold():
     assert alarm.all() and torch.equal(score, linf_score(obs, reconstruction, model.obs_std))
     detector = Detector(model, float(score.sort().values[30]))
     detector.reset(range(50))
-    assert detector.step(obs)[1].sum() == 19  # not the one that equals it
+    assert detector.step(obs)[1].sum() == 19  # a score equal to the threshold is no alarm
 
 
 @pytest.mark.parametrize("threshold", [float("nan"), "high", None])
@@ -75,7 +75,7 @@ def test_the_latent_is_sampled_with_the_episodes_own_numbers():
     assert not torch.allclose(scores(Detector(make_gruvae(), 1.0, seed=9), obs, [4, 5, 6]), together)
 
 
-def test_clean_scores_are_those_of_every_observation_and_of_no_padding():
+def test_clean_scores_cover_every_observation_and_no_padding():
     obs, lengths = normal(5, 8, 11).numpy(), np.array([8, 3, 5, 1, 8])
     detector = Detector(make_gruvae(), np.inf)
     found = clean_scores(detector, Trajectories(obs, lengths))
@@ -89,35 +89,35 @@ def test_clean_scores_are_those_of_every_observation_and_of_no_padding():
 
 @pytest.mark.parametrize("rate", [0.01, 0.1, 0.5])
 @pytest.mark.parametrize("n", [7, 100, 1_003])
-def test_at_most_the_wanted_fraction_of_clean_scores_is_above_the_threshold(rate, n):
+def test_at_most_the_given_fraction_of_scores_exceeds_the_threshold(rate, n):
     clean = np.random.default_rng(n).exponential(size=n)
     above = (clean > calibrate(clean, rate)).mean()
     assert rate - 1 / n - 1e-9 <= above <= rate
 
 
 @pytest.mark.parametrize("rate", [0, 1, -0.1, float("nan")])
-def test_a_rate_that_is_none_is_refused(rate):
+def test_a_rate_outside_0_and_1_is_refused(rate):
     for threshold in (calibrate, lambda scores, rate: conformal_threshold([scores], rate)):
         with pytest.raises(ValueError, match="false_alarm_rate"):
             threshold(np.ones(3), rate)
 
 
 @pytest.mark.parametrize("values", [[], [1.0, np.nan], [np.inf]])
-def test_scores_that_are_none_are_refused(values):
+def test_empty_or_infinite_scores_are_refused(values):
     with pytest.raises(ValueError, match="clean_scores"):
         calibrate(np.array(values))
 
 
 @pytest.mark.parametrize("rate", [0.01, 0.1, 0.5])
 @pytest.mark.parametrize("n", [99, 100, 1_003])
-def test_with_one_score_an_episode_it_is_the_split_conformal_quantile(rate, n):
+def test_one_score_an_episode_gives_the_split_conformal_quantile(rate, n):
     scores = np.random.default_rng(n).exponential(size=n)
     expected = np.sort(scores)[int(np.ceil((n + 1) * (1 - rate) - 1e-9)) - 1]
     assert conformal_threshold(scores[:, None], rate) == expected
     assert conformal_threshold(scores[:, None], rate) >= calibrate(scores, rate)
 
 
-def test_the_conformal_threshold_keeps_its_promise_where_the_plain_quantile_does_not():
+def test_the_conformal_guarantee_holds_where_the_plain_quantile_fails():
     """Steps of an episode share most of their score, and there are eleven episodes to calibrate on and a new one."""
     rng, rate = np.random.default_rng(0), 0.1
     conformal, plain = [], []
@@ -132,7 +132,7 @@ def test_the_conformal_threshold_keeps_its_promise_where_the_plain_quantile_does
 
 
 @pytest.mark.parametrize(("n", "promised"), [(8, False), (9, True)])
-def test_too_few_episodes_promise_nothing_however_long_they_are(n, promised):
+def test_too_few_episodes_give_no_guarantee_however_long(n, promised):
     episodes = [np.arange(1_000.0)] * n
     assert np.isfinite(conformal_threshold(episodes, 0.1)) == promised
 
@@ -175,7 +175,7 @@ def test_no_threshold_with_so_few_misses_has_a_better_f1(steps, misses):
 
 
 def test_fewer_misses_cost_f1():
-    """One attack hides among the clean steps: to catch it, all of those must raise the alarm."""
+    """One attacked step scores below all clean ones: to detect it, all of those must raise the alarm."""
     scores, attacked = np.append(np.linspace(0, 1, 100), [2.0] * 9 + [-1.0]), np.arange(110) >= 100
     assert 1 < tuned_threshold(scores, attacked, misses=0.1) < 2
     assert tuned_threshold(scores, attacked, misses=0.05) == -np.inf
@@ -191,6 +191,6 @@ def test_fewer_misses_cost_f1():
         ([1.0, 2.0], [False, True], 1.0, "misses"),
     ],
 )
-def test_what_cannot_be_tuned_on_is_refused(scores, attacked, misses, message):
+def test_scores_that_cannot_be_tuned_on_are_refused(scores, attacked, misses, message):
     with pytest.raises(ValueError, match=message):
         tuned_threshold(np.array(scores), np.array(attacked), misses)

@@ -126,7 +126,7 @@ def test_the_free_prior_is_the_best_of_all_means():
         assert free <= kl_divergence(q, Normal(mean + 0.1 * normal(6, seed=seed), 1.0)).sum(-1)
 
 
-def test_reconstruction_loss_is_the_negative_log_likelihood_up_to_a_constant():
+def test_reconstruction_loss_is_a_negative_log_likelihood():
     model, output, target = make_gruvae(), normal(3, 4, 11), normal(3, 4, 11, seed=1)
     likelihood = Normal(output, model.obs_std)
     constant = -likelihood.log_prob(output).sum(-1)
@@ -148,7 +148,7 @@ def test_the_gradient_of_the_elbo_is_that_of_finite_differences(prior):
     assert torch.autograd.gradcheck(negative_elbo, parameters, fast_mode=True)
 
 
-def test_what_happens_later_does_not_change_what_was_said_before():
+def test_later_observations_do_not_change_earlier_outputs():
     model, obs = make_gruvae(), normal(1, 8, 11)
     changed = obs.clone()
     changed[:, 5:] += 1

@@ -23,7 +23,7 @@ def test_a_linear_system_is_found_again():
     assert np.allclose(found / scale, np.eye(3), atol=0.05)
 
 
-def test_it_is_numpys_least_squares_over_the_pairs_of_each_episode():
+def test_the_linear_model_equals_numpys_least_squares():
     normal, *_ = planted()
     model = LinearModel.fit(normal, 1e-12)
     episodes = [obs[:length].astype(float) for obs, length in zip(normal.obs, normal.lengths, strict=True)]
@@ -36,7 +36,7 @@ def test_it_is_numpys_least_squares_over_the_pairs_of_each_episode():
     assert np.allclose(model.start, np.mean([o[0] for o in episodes], 0))
 
 
-def test_the_gaussian_is_that_of_all_observations_and_of_no_padding():
+def test_the_gaussian_covers_all_observations_and_no_padding():
     normal, *_ = planted()
     seen = normal.obs[normal.mask].astype(float)
     gaussian = Gaussian.fit(normal, 1e-12)
@@ -59,7 +59,7 @@ def test_constant_and_doubled_observations_are_no_trouble(fit):
 
 @pytest.mark.parametrize("ridge", [0, -1.0, float("nan")])
 @pytest.mark.parametrize("fit", [Gaussian.fit, LinearModel.fit])
-def test_a_ridge_that_is_none_is_refused(fit, ridge):
+def test_a_ridge_that_is_not_positive_is_refused(fit, ridge):
     with pytest.raises(ValueError, match="ridge"):
         fit(planted(n=2)[0], ridge)
 

@@ -20,8 +20,8 @@ def play(defense, **changes):
     return rollout(VICTIM, HOPPER, range(6), defense=defense, **(ATTACKED | dict(steps=26) | changes))
 
 
-def test_the_ceiling_is_the_victim_that_nobody_attacks():
-    """Whoever gets both oracles sees the truth, and an attack has no effect at all."""
+def test_both_oracles_give_the_episodes_of_no_attack():
+    """With both oracles the policy sees the truth, and an attack has no effect at all."""
     clean, saved = play(None, attack=None, timing=None), play(DetectAndDenoise(OracleDetector(), OracleDenoiser()))
     assert 0 < saved.attacked.mean() < 1 and (saved.perturbed != saved.obs).any()
     for name in ("obs", "shown", "action", "reward", "mask"):
@@ -39,7 +39,7 @@ def test_one_oracle_leaves_the_other_part_as_it_is():
     assert not np.array_equal(denoised.alarm, denoised.attacked)
     assert np.array_equal(denoised.denoised, denoised.obs)
     assert np.array_equal(denoised.shown, np.where(denoised.alarm[..., None], denoised.obs, denoised.perturbed))
-    # What the oracle's reconstruction is worth, when it stands alone.
+    # Without a denoiser the oracle's reconstruction is shown: the truth.
     alone = play(DetectAndDenoise(OracleDetector()))
     assert np.array_equal(alone.shown, alone.obs)
 
@@ -53,8 +53,8 @@ def test_without_an_attack_an_oracle_is_silent():
     "make", [lambda: DetectAndDenoise(OracleDetector(), OracleDenoiser()), lambda: DetectAndDenoise(OracleDetector()),
              lambda: DetectAndDenoise(make_defense().detector, OracleDenoiser())]
 )  # fmt: skip
-def test_an_oracle_answers_only_what_it_was_told_the_truth_of(make):
-    """Not on a robot, not again for the next observation, not for another episode, not for an attacker's copy."""
+def test_an_oracle_answers_once_for_each_revealed_truth(make):
+    """It refuses on a robot, a second time, in another episode, and as an attacker's copy after a reset."""
     defense, obs = make(), normal(3, 11)
     assert defense.needs == {"truth"}
     defense.reset(range(3))

@@ -15,7 +15,7 @@ def run(defense, obs):
     return [defense(o) for o in obs.unbind(1)]
 
 
-def test_the_policy_sees_the_denoised_observation_where_there_is_an_alarm():
+def test_an_alarm_shows_the_policy_the_denoised_observation():
     obs = normal(6, 20, 11)
     verdicts = run(make_defense(threshold=2.0), obs)
     alarms = torch.stack([v.alarm for v in verdicts])
@@ -37,7 +37,7 @@ def test_both_networks_see_every_observation():
         assert torch.allclose(v.denoised, denoiser.step(o), atol=1e-6)
 
 
-def test_always_is_deaf_to_the_detector():
+def test_always_ignores_the_detector():
     defense = make_defense(threshold=float("inf"))
     for verdict in run(DetectAndDenoise(defense.detector, defense.denoiser, always=True), normal(3, 4, 11)):
         assert torch.equal(verdict.obs, verdict.denoised) and not verdict.alarm.any()
@@ -54,7 +54,7 @@ def test_without_a_denoiser_the_detectors_reconstruction_is_shown():
 
 
 @pytest.mark.parametrize("denoiser", [None, make_defense().denoiser])
-def test_with_a_budget_what_is_denoised_is_projected_into_the_ball(denoiser):
+def test_a_budget_projects_the_denoised_observation_into_the_ball(denoiser):
     obs, detector = normal(6, 20, 11), make_defense(threshold=2.0).detector
     free = run(DetectAndDenoise(detector, denoiser), obs)
     projected = run(DetectAndDenoise(detector, denoiser, budget=BUDGET), obs)
@@ -64,7 +64,7 @@ def test_with_a_budget_what_is_denoised_is_projected_into_the_ball(denoiser):
         assert torch.equal(p.obs, torch.where(p.alarm[:, None], p.denoised, o)) and torch.equal(p.alarm, f.alarm)
 
 
-def test_detector_and_denoiser_draw_independently():
+def test_detector_and_denoiser_sample_independently():
     """Even where they are the same network."""
     model, obs = make_gruvae(), normal(2, 5, 11)
     detector, denoiser = Detector(model, 1.0), Denoiser(model)
@@ -73,7 +73,7 @@ def test_detector_and_denoiser_draw_independently():
     assert not torch.allclose(detector.step(obs[:, 0])[2], denoiser.step(obs[:, 0]))
 
 
-def test_no_episode_or_other_episodes_than_those_under_way_are_refused_and_forgotten():
+def test_a_wrong_number_of_rows_is_refused_and_changes_nothing():
     defense, obs = make_defense(), normal(2, 3, 11)
     with pytest.raises(ValueError, match=r"no episode is under way; call reset\(episodes\) first"):
         make_defense()(obs[:, 0])
@@ -92,7 +92,7 @@ def test_observations_of_another_shape_or_type_are_refused(obs):
         defense(obs)
 
 
-def test_parts_of_two_sizes_are_refused_and_parts_of_any_size_are_not():
+def test_parts_for_observations_of_two_sizes_are_refused():
     with pytest.raises(ValueError, match="denoiser: its observations have 17 numbers, and the detector's 11"):
         DetectAndDenoise(make_defense(11).detector, make_defense(17).denoiser)
     assert DetectAndDenoise(OracleDetector(), make_defense(17).denoiser).obs_dim == 17
@@ -119,7 +119,7 @@ def test_an_observation_that_is_not_finite_is_refused_and_forgotten(value):
 
 
 @pytest.mark.parametrize("steps", [0, 3])
-def test_a_row_may_begin_another_episode_while_the_others_go_on(steps):
+def test_restart_begins_an_episode_in_the_given_row_only(steps):
     """What it remembers is gone, and its random numbers are those of the new episode."""
     obs, defense, beside, anew = normal(3, 10, 11), make_defense(), make_defense(), make_defense()
     defense.reset([0, 1, 2])

@@ -46,7 +46,7 @@ def attacked(regularizer, model, obs, mask=ALL, seed: int = 0, **context):
 
 
 @pytest.mark.parametrize("victim", VICTIMS, ids=["td3", "ppo"])
-def test_the_policy_decides_which_and_it_is_the_opposite_attacks(victim):
+def test_the_policys_kind_selects_the_opposite_attacks_distance(victim):
     obs, seen = normal(5, 11), normal(5, 11, seed=1)
     distance = Regularizer(victim, BUDGET).distance(victim.mean(seen), victim.mean(obs))
     expected = opposite_objective(victim, obs)(seen)
@@ -55,7 +55,7 @@ def test_the_policy_decides_which_and_it_is_the_opposite_attacks(victim):
 
 @pytest.mark.parametrize("reference", ["denoised", "true"])
 @pytest.mark.parametrize("norm", NORMS)
-def test_of_a_linear_policy_and_a_denoiser_that_does_nothing_it_is_the_closed_form(norm, reference):
+def test_r_of_a_linear_policy_is_the_closed_form(norm, reference):
     """With one action w o the worst perturbation moves it by epsilon ||w||, in the dual norm."""
     weight = torch.tensor([[2.0, -1.0, 0.5, 3.0]])
     largest = 0.3 * torch.linalg.vector_norm(weight, ord={float("inf"): 1, 2: 2, 1: float("inf")}[norm])
@@ -75,7 +75,7 @@ def test_the_inner_attack_stays_in_the_ball_of_every_observation(norm, epsilon, 
 
 
 @pytest.mark.parametrize("victim", VICTIMS, ids=["td3", "ppo"])
-def test_the_inner_attack_is_stronger_than_chance_and_with_more_steps(victim):
+def test_the_inner_attack_beats_chance_and_grows_with_steps(victim):
     model, obs = make_gruvae(), normal(20, 6, 11)
     mask, noise = torch.ones(20, 6), normal(20, 6, 4, seed=2)
 
@@ -91,7 +91,7 @@ def test_the_inner_attack_is_stronger_than_chance_and_with_more_steps(victim):
     assert value(3, size=0.0) == 0 and value(3, size=0.5) < value(3)
 
 
-def test_earlier_observations_are_perturbed_for_what_they_do_to_later_actions():
+def test_earlier_observations_are_perturbed_to_change_later_actions():
     """Only the last action counts; all observations that lead to it are moved, and none in another sequence."""
     obs, mask = sequences(), torch.zeros(3, 6)
     mask[0, -1] = 1
@@ -113,7 +113,7 @@ def test_padding_does_not_count():
     assert regularizer(model, obs, torch.zeros(3, 6)).item() == 0  # of nothing but padding
 
 
-def test_the_denoiser_goes_on_from_its_memory_with_the_same_noise():
+def test_a_later_chunk_continues_from_the_denoisers_memory():
     regularizer, model, obs = Regularizer(make_victim(), BUDGET), make_gruvae(), sequences()
     noise, whole = normal(3, 6, 4, seed=1), regularizer.action
     first = model(obs[:, :2], noise[:, :2])
@@ -123,7 +123,7 @@ def test_the_denoiser_goes_on_from_its_memory_with_the_same_noise():
     assert still(model, obs[:, 2:], ALL[:, 2:], noise[:, 2:], first.state).item() == 0  # whatever was sampled
 
 
-def test_the_true_reference_sees_a_denoiser_that_ignores_its_input_and_the_papers_does_not():
+def test_only_the_true_reference_penalises_ignoring_the_input():
     model = make_gruvae()
     model.to_output.weight.zero_()
     regularizer, obs = Regularizer(make_victim(), BUDGET), sequences()
@@ -148,7 +148,7 @@ def test_where_both_actions_are_equal_the_gradient_is_finite():
 
 
 @pytest.mark.parametrize("arguments", [dict(steps=0), dict(reference="attacked")])
-def test_what_is_no_regularizer_is_refused(arguments):
+def test_regularizer_settings_that_make_no_sense_are_refused(arguments):
     with pytest.raises(ValueError, match=next(iter(arguments))):
         Regularizer(make_victim(), BUDGET, **arguments)
 
@@ -177,7 +177,7 @@ def held_out_r(model) -> float:
         return replace(TOY, steps=20)(model, obs, torch.ones(obs.shape[:2])).item()
 
 
-def test_training_with_it_makes_r_small_on_trajectories_it_has_not_seen():
+def test_training_with_r_lowers_it_on_held_out_trajectories():
     """So the sign is right: with the paper's, R would have grown."""
     without, little, much = (
         held_out_r(train_gruvae(replace(RECIPE, lam=lam), PAIRS, 0, regularizer=TOY)) for lam in (0, 0.3, 3)

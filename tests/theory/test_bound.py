@@ -1,4 +1,4 @@
-"""Appendix A: every inequality under its right conditions, and every false step with its counterexample."""
+"""Appendix A: every inequality under its correct conditions, and every false step with its counterexample."""
 
 import itertools
 import math
@@ -63,7 +63,7 @@ def attacked_value(mdp, policy, allowed):
 
 @steady
 @given(gaussians())
-def test_the_two_terms_of_the_kl_are_those_of_torch_and_not_negative(case):
+def test_the_two_kl_terms_sum_to_that_of_torch(case):
     mean_1, mean_2, cov_1, cov_2 = case
     of_covariances, of_means = bound.kl_parts(mean_1, cov_1, mean_2, cov_2)
     first, second = MultivariateNormal(mean_1, cov_1), MultivariateNormal(mean_2, cov_2)
@@ -78,7 +78,7 @@ def test_total_variation_is_half_the_integral_of_the_difference(distance):
 
 
 def test_total_variation_in_several_dimensions_is_what_sampling_finds():
-    """TV is the probability with which the likelier of the two tells itself by, less the other's."""
+    """TV is the difference of both Gaussians' probabilities of the region in which the first is denser."""
     rng = np.random.default_rng(0)
     cov, mean = positive_definite(rng, 3), torch.tensor([0.5, -0.3, 0.8], dtype=torch.double)
     first, second = MultivariateNormal(torch.zeros(3, dtype=torch.double), cov), MultivariateNormal(mean, cov)
@@ -103,14 +103,14 @@ def test_pinsker_holds_and_costs_a_quarter_at_small_distances(case):
     assert closest >= exact * math.sqrt(math.pi / 2) * (1 - 1e-9)
 
 
-def test_pinsker_would_need_another_constant_if_total_variation_were_the_whole_l1_distance():
+def test_pinsker_fails_for_the_whole_l1_distance():
     distance = torch.tensor(0.1)
     assert 2 * bound.total_variation(distance) > bound.pinsker(0.5 * distance.square())
 
 
 @steady
 @given(gaussians())
-def test_with_equal_covariances_c_1_is_a_half_and_no_less_will_do(case):
+def test_equal_covariances_need_a_c_1_of_exactly_one_half(case):
     mean_1, mean_2, cov, _ = case
     kl = kl_divergence(MultivariateNormal(mean_1, cov), MultivariateNormal(mean_2, cov))
     squared = distance(mean_1, mean_2, cov).square()
@@ -143,14 +143,14 @@ def test_the_elements_of_an_inverse_covariance_need_not_be_positive():
     assert (torch.linalg.inv(torch.tensor([[1.0, 0.5], [0.5, 1.0]])) < 0).any()
 
 
-def test_nor_would_their_largest_be_a_c_2():
+def test_the_largest_element_of_an_inverse_is_no_c_2():
     cov = torch.linalg.inv(torch.tensor([[1.0, 0.9], [0.9, 1.0]]))
     assert torch.linalg.inv(cov).max() == pytest.approx(1.0, abs=1e-5)
     assert bound.c_2(cov) == pytest.approx(1.9, abs=1e-5)
     assert distance(torch.zeros(2), torch.ones(2), cov).square() > 1.5 * torch.ones(2).square().sum()
 
 
-def test_noise_on_a_deterministic_policy_makes_c_2_grow_without_limit():
+def test_shrinking_noise_makes_c_2_grow_without_limit():
     sizes = [1.0, 0.1, 0.01]
     assert [bound.c_2(size**2 * torch.eye(3)) for size in sizes] == pytest.approx([1, 100, 10_000])
 
@@ -182,7 +182,7 @@ def uneven_victim(seed, gaussian):
 
 
 @pytest.mark.parametrize("gaussian", [False, True])
-def test_of_a_linear_policy_certificate_and_jacobian_agree(gaussian):
+def test_certificate_and_jacobian_of_a_linear_policy_agree(gaussian):
     """Far inside the tanh and the clipping the policy of one layer is linear: both must be its matrix's norm."""
     torch.manual_seed(0)
     victim = Victim([HOPPER.obs_dim, HOPPER.action_dim], gaussian=gaussian)
@@ -276,7 +276,7 @@ def test_no_sharper_bound_is_true(gamma, tv):
     assert lost == pytest.approx(bound.coupled(tv, gamma, 2.0), rel=1e-6)
 
 
-def test_the_coupled_bound_is_the_sum_that_its_proof_ends_with():
+def test_the_coupled_bound_equals_the_sum_of_its_proof():
     gamma, tv = 0.9, 0.07
     terms = [gamma**t * (1 - (1 - tv) ** (t + 1)) for t in range(2000)]
     assert bound.coupled(tv, gamma, 3.0) == pytest.approx(3 * sum(terms))
@@ -309,7 +309,7 @@ def test_the_printed_inequality_fails_for_a_constant_policy():
 
 
 @pytest.mark.parametrize("gamma", [0.0, 0.5, 0.9, 0.99])
-def test_the_bound_is_vacuous_from_a_total_variation_of_1_minus_gamma_on(gamma):
+def test_the_bound_is_vacuous_from_1_minus_gamma_on(gamma):
     def vacuous(alpha, tv):
         return alpha(gamma, 3.0) * tv >= bound.most_that_can_be_lost(gamma, 3.0)
 
@@ -317,7 +317,7 @@ def test_the_bound_is_vacuous_from_a_total_variation_of_1_minus_gamma_on(gamma):
     assert bound.largest_gamma(1 - gamma) == pytest.approx(gamma)
 
 
-def test_the_printed_alpha_is_vacuous_from_0_0101_on_at_the_usual_discount():
+def test_the_printed_alpha_is_vacuous_from_0_0101_on():
     threshold = bound.most_that_can_be_lost(0.99, 1.0) / bound.alpha_printed(0.99, 1.0)
     assert round(threshold, 4) == 0.0101
 
@@ -346,6 +346,6 @@ def test_the_printed_alpha_is_vacuous_from_0_0101_on_at_the_usual_discount():
         (lambda: FiniteMDP(np.full((2, 2, 2), 0.5), np.ones((2, 2, 2)), 1.0), "gamma"),
     ],
 )
-def test_what_makes_no_sense_is_refused_by_name(call, name):
+def test_arguments_that_make_no_sense_are_refused_by_name(call, name):
     with pytest.raises(ValueError, match=name):
         call()

@@ -18,7 +18,7 @@ def test_the_identity_errs_by_the_distance_to_the_corners():
     assert BUDGET.contains(obs, found).all()
 
 
-def test_of_a_linear_denoiser_the_largest_error_is_found():
+def test_the_largest_error_of_a_linear_denoiser_is_found():
     """The error is convex, so that its largest value is at one of the box's 2^d corners: try them all."""
     d, budget, obs = 6, Budget(0.3), normal(3, 6, seed=1)
     matrix, offset = normal(d, d, seed=2), normal(d, seed=3)
@@ -32,7 +32,7 @@ def test_of_a_linear_denoiser_the_largest_error_is_found():
     assert torch.allclose(error, largest, rtol=1e-5)
 
 
-def test_along_an_episode_the_attack_is_stronger_than_sampling_and_the_denoiser_remembers():
+def test_along_episodes_ascent_beats_sampling_and_the_denoiser_remembers():
     model, obs = make_gruvae(residual=True), normal(3, 6, 11)
 
     def fresh(x):
