@@ -24,7 +24,7 @@ Value = Callable[[Outcome], Tensor]
 
 
 class AdaptiveAttack(InformedAttack):
-    """The attack that the defence has to fear: the most damage by what the defended policy would really do.
+    """The most damage by what the defended policy would really do: the strongest attack here on a defence.
 
     From several starts it climbs the damage of pi(o_hat) while the detector is silent, stepping back where it alarms,
     and the damage of pi(den(o_hat)) while it alarms, going on where it is silent (the switching method of Polyak, 1967,
@@ -32,8 +32,7 @@ class AdaptiveAttack(InformedAttack):
     climb are judged over fresh samples, beside o itself and the point of the attack that does not know the defence. So
     by its own judgement it is never weaker than that attack.
 
-    It looks one step ahead: what an observation leaves in the defence's memory, for later steps, is no part of the
-    damage.
+    It looks one step ahead: how an observation changes the defence's memory, for later steps, is no part of the damage.
 
     Args:
         attack: opposite, Q-function or enchanting: what damage is, and one of the starts.
@@ -46,10 +45,20 @@ class AdaptiveAttack(InformedAttack):
 
     Raises:
         ValueError: if one of the numbers is no whole number of at least 1, or ``attack`` is no gradient attack.
+
+    Example:
+        >>> from detden_lite import AdaptiveAttack, Budget, OppositeAttack, get_task, load_defense, load_victim, rollout
+        >>> victim, task = load_victim("hopper", "td3"), get_task("hopper")
+        >>> attack = AdaptiveAttack(OppositeAttack(victim, Budget(task.epsilon)), steps=5, samples=2, fresh=4)
+        >>> sorted(attack.needs)
+        ['defense', 'policy']
+        >>> episodes = rollout(victim, task, [0], attack=attack, defense=load_defense("hopper", "td3"), steps=3)
+        >>> episodes.perturbed.shape
+        (3, 1, 11)
     """
 
-    aim: Value = staticmethod(lambda outcome: outcome.damage)  # what the best point has most of
-    ways: tuple[Value, ...] = (Outcome.quiet, Outcome.loud)  # what is climbed
+    aim: Value = staticmethod(lambda outcome: outcome.damage)  # the best point has the most of it
+    ways: tuple[Value, ...] = (Outcome.quiet, Outcome.loud)  # the surrogates that are climbed
 
     def __init__(
         self, attack: GradientAttack, steps: int = 100, restarts: int = 1, samples: int = 8, fresh: int = 32,
@@ -93,7 +102,7 @@ class AdaptiveAttack(InformedAttack):
 
 
 class GradientFreeAttack(AdaptiveAttack):
-    """The cross-check: the same surrogates and the same judgement, and a search that asks for no gradient.
+    """The cross-check: the same surrogates and the same judgement, and a search that uses no gradient.
 
     Where it does more damage than ``AdaptiveAttack`` the gradients are masked, and that attack proves nothing.
 
@@ -106,6 +115,12 @@ class GradientFreeAttack(AdaptiveAttack):
 
     Raises:
         ValueError: as for ``AdaptiveAttack``, and if there are more elites than points.
+
+    Example:
+        >>> from detden_lite import Budget, GradientFreeAttack, OppositeAttack, Victim
+        >>> attack = GradientFreeAttack(OppositeAttack(Victim([11, 8, 3]), Budget(0.1)), population=16)
+        >>> attack.settings
+        {'steps': 15, 'restarts': 1, 'samples': 8, 'fresh': 32, 'population': 16, 'elites': 6}
     """
 
     def __init__(
@@ -126,10 +141,15 @@ class GradientFreeAttack(AdaptiveAttack):
 
 
 class StealthyAttack(AdaptiveAttack):
-    """The way under the threshold alone: the most damage to pi(o_hat) of which no sample raises the alarm.
+    """The most damage to pi(o_hat) that raises no alarm in any sample: the way under the threshold alone.
 
     It is weaker than ``AdaptiveAttack``, and is not detected. Where even o raises the alarm, it gives the point that
     exceeds the threshold least. The arguments are those of ``AdaptiveAttack``.
+
+    Example:
+        >>> from detden_lite import Budget, OppositeAttack, StealthyAttack, Victim
+        >>> StealthyAttack(OppositeAttack(Victim([11, 8, 3]), Budget(0.1)), steps=50).settings["steps"]
+        50
     """
 
     aim = staticmethod(partial(Outcome.quiet, allowed=0.0))
@@ -149,6 +169,11 @@ class CoupledAttack(AdaptiveAttack):
 
     Raises:
         ValueError: as for ``AdaptiveAttack``, and for another norm or a pace of 0 or less.
+
+    Example:
+        >>> from detden_lite import Budget, CoupledAttack, OppositeAttack, Victim
+        >>> CoupledAttack(OppositeAttack(Victim([11, 8, 3]), Budget(0.1)), pace=0.5, steps=50).settings["pace"]
+        0.5
     """
 
     def __init__(self, attack: GradientAttack, pace: float = 0.2, **settings: Any) -> None:

@@ -21,16 +21,16 @@ from detden_lite.victims.victim import Victim
 
 
 class AdversaryEnv(VecEnv):
-    """N worlds in lockstep, with one call of the victim a step for all of them, as stable-baselines3 wants them.
+    """N worlds in lockstep, with one call of the victim a step for all of them: a ``VecEnv`` of stable-baselines3.
 
     The adversary sees the true observation. Its action in [-1, 1]^obs_dim becomes a perturbation in the ball, and its
     reward is the victim's, negated. Where the timing says no, the victim sees the truth. A world whose episode has
-    ended begins another one at once, with a seed that no other purpose has (``episode_seeds.SEEDS``); ending at
-    the time limit is a truncation, from where the value function takes over.
+    ended begins another one at once, with a seed that no other purpose has (``episode_seeds.SEEDS``). Ending at the
+    time limit is a truncation: the learner bootstraps from the value function there.
 
     Args:
         victim: the policy under attack.
-        task: where it acts.
+        task: the victim's.
         budget: the ball.
         n: how many worlds.
         timing: when to attack; always by default.
@@ -39,6 +39,15 @@ class AdversaryEnv(VecEnv):
 
     Raises:
         ValueError: if a number is not in its range, or a part is of another kind or of another task.
+
+    Example:
+        >>> from detden_lite import AdversaryEnv, Budget, get_task, load_victim
+        >>> env = AdversaryEnv(load_victim("hopper", "td3"), get_task("hopper"), Budget(0.075), n=2)
+        >>> env.reset().shape
+        (2, 11)
+        >>> obs, reward, done, infos = env.step(np.zeros((2, 11)))
+        >>> bool((reward < 0).all())  # the victim's rewards, negated
+        True
     """
 
     def __init__(
@@ -85,7 +94,7 @@ class AdversaryEnv(VecEnv):
 
         Returns:
             True observations ``[N, obs_dim]``, those of the next episode where one has ended; the victim's rewards,
-            negated, ``[N]``; whether the episode has ended ``[N]``; and what stable-baselines3 wants to know of that.
+            negated, ``[N]``; whether the episode has ended ``[N]``; and the infos that stable-baselines3 expects.
 
         Raises:
             ValueError: if an action of the victim is not finite.

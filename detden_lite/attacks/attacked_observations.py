@@ -1,4 +1,4 @@
-"""A gymnasium environment whose observations are attacked: an attack in anybody's loop (section 2.2 of the paper)."""
+"""A gymnasium environment whose observations are attacked: for loops other than ``rollout`` (section 2.2)."""
 
 from typing import SupportsFloat
 
@@ -15,8 +15,8 @@ from detden_lite.simulation.guests import check_guests
 class AttackedObservations(gymnasium.Wrapper, RecordConstructorArgs):
     """The observations that come out are attacked; the world behind them is not.
 
-    ``info`` tells what nobody under attack knows: "true_obs", and whether it was "attacked". An episode that is reset
-    with a seed is attacked as ``rollout`` attacks the episode of that seed.
+    ``info`` has "true_obs", and "attacked", whether this step was attacked: a policy must not use either. An episode
+    that is reset with a seed is attacked as ``rollout`` attacks the episode of that seed.
 
     Args:
         env: one environment of the attack's victim; its observations are vectors, and raw: a ``VecNormalize`` belongs
@@ -25,8 +25,16 @@ class AttackedObservations(gymnasium.Wrapper, RecordConstructorArgs):
         timing: when to attack; always by default.
 
     Raises:
-        ValueError: if the attack needs the simulator or the defence, which a loop of one's own does not hand out; if
-            attack or timing are none; or if the environment's observations are not those that the attack was made for.
+        ValueError: if the attack needs the simulator or the defence, which only ``rollout`` hands out; if attack or
+            timing break their contract; or if the environment's observations have another length than the attack's.
+
+    Example:
+        >>> import gymnasium
+        >>> from detden_lite import AttackedObservations, Budget, UniformNoise
+        >>> env = AttackedObservations(gymnasium.make("Hopper-v5"), UniformNoise(Budget(0.1)))
+        >>> obs, info = env.reset(seed=0)
+        >>> bool(0 < abs(obs - info["true_obs"]).max() <= 0.1 + 1e-6), info["attacked"]
+        (True, True)
     """
 
     def __init__(self, env: gymnasium.Env, attack: Attack, timing: Timing | None = None) -> None:
@@ -45,7 +53,7 @@ class AttackedObservations(gymnasium.Wrapper, RecordConstructorArgs):
         self._seeds = np.random.default_rng()
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[np.ndarray, dict]:
-        """Begin an episode; one without a seed follows from the last seed that there was, as with gymnasium itself."""
+        """Begin an episode; without a seed, the next one of those that follow from the last seed, as in gymnasium."""
         obs, info = self.env.reset(seed=seed, options=options)
         if seed is not None:
             self._seeds = np.random.default_rng(seed)
@@ -64,5 +72,5 @@ class AttackedObservations(gymnasium.Wrapper, RecordConstructorArgs):
     def _shown(self, obs: np.ndarray, info: dict) -> tuple[np.ndarray, dict]:
         true = torch.as_tensor(obs, dtype=torch.float32)[None]
         attacked = bool(self.timing(true))
-        shown = self.attack(true, World(np.array([attacked])))[0]  # it draws at every step, attacked or not
+        shown = self.attack(true, World(np.array([attacked])))[0]  # at every step, for the same random numbers
         return shown.numpy().astype(obs.dtype) if attacked else obs, dict(info, true_obs=obs, attacked=attacked)

@@ -31,15 +31,27 @@ def check_budget(budget: Budget, obs_dim: int | None) -> None:
 
 
 class BallAttack:
-    """An attack within a ball.
+    """An attack within a ball: a base class that is convenient, and that the contract does not ask for.
 
     Args:
         budget: the ball.
-        obs_dim: of what the attack was made for; None if it attacks observations of any length.
-        maker: the name of that argument, for errors.
+        obs_dim: length of the observations that the attack was made for; None if it attacks those of any length.
+        maker: the argument that fixed this length, for errors.
 
     Raises:
         ValueError: if ``budget`` is no ``Budget``, or its scale has another length than the observations.
+
+    Example:
+        >>> from detden_lite import Budget
+        >>> class Shift(BallAttack):
+        ...     # raises every number as far as the ball allows
+        ...     def __call__(self, obs, world=None):
+        ...         self.check(obs)
+        ...         return self.budget.project(obs, obs + 1)
+        >>> attack = Shift(Budget(0.25))
+        >>> attack.reset([0])
+        >>> attack(torch.zeros(1, 3))
+        tensor([[0.2500, 0.2500, 0.2500]])
     """
 
     needs: frozenset[str] = frozenset()

@@ -38,6 +38,12 @@ class AttackEntry:
         colour: where several attacks share a figure; None for one that is not drawn.
         slow: whether it plans, or searches for each observation, so that fewer episodes are reported.
         unaware: of an attack that knows the defence, the name of the one that does not.
+
+    Example:
+        >>> from detden_lite import CATALOGUE
+        >>> entry = CATALOGUE["coupled-opposite"]
+        >>> entry.title, entry.unaware, sorted(entry.needs)
+        ('opposite, drifting', 'opposite', ['defense', 'policy'])
     """
 
     name: str

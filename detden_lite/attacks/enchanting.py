@@ -26,6 +26,17 @@ class EnchantingAttack(GradientAttack):
         steps: gradient steps towards the target.
         restarts: random starts; the best is taken.
         seed: of the random starts.
+
+    Raises:
+        ValueError: as ``GradientAttack``; without the seeds of the episodes; or without a simulator in the world.
+
+    Example:
+        >>> from detden_lite import Budget, CEMPlanner, EnchantingAttack, get_task, load_victim, rollout
+        >>> victim, task = load_victim("hopper", "td3"), get_task("hopper")
+        >>> planner = CEMPlanner(task.env_id, horizon=5, population=8, iterations=1, elites=2)
+        >>> attack = EnchantingAttack(victim, Budget(task.epsilon), planner, steps=5)
+        >>> rollout(victim, task, [0], attack=attack, steps=3).perturbed.shape
+        (3, 1, 11)
     """
 
     needs = frozenset({"policy", "simulator"})

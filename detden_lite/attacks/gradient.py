@@ -30,6 +30,18 @@ class GradientAttack(BallAttack, ABC):
     Raises:
         ValueError: if an argument is of another kind or not in its range; and at the first call, if the observations
             are of another task.
+
+    Example:
+        >>> from detden_lite import ActionObjective, Budget, GradientAttack, Victim
+        >>> class Slow(GradientAttack):  # makes the first action as small as possible
+        ...     needs = frozenset({"policy"})
+        ...     def objective(self, obs, world=None):
+        ...         return ActionObjective(self.policy, lambda action: -action[:, 0])
+        >>> victim, obs = Victim([11, 8, 3]), torch.zeros(4, 11)
+        >>> attack = Slow(victim, Budget(0.1))
+        >>> attack.reset(range(4))
+        >>> bool((victim(attack(obs))[:, 0] < victim(obs)[:, 0]).all())
+        True
     """
 
     clips = True  # whether a Gaussian policy's mean is clipped to the action bounds before it is judged
@@ -46,7 +58,7 @@ class GradientAttack(BallAttack, ABC):
 
     @abstractmethod
     def objective(self, obs: Tensor, world: World | None = None) -> ActionObjective:
-        """What is to be large, for perturbed observations of ``obs`` ``[n, obs_dim]``: the rows that are wanted."""
+        """The objective to be maximised, for perturbed observations of ``obs`` ``[n, obs_dim]``, the wanted rows."""
 
     def reset(self, episodes: Sequence[int] | None = None) -> None:
         """Begin new episodes, one seed each; None for offline use on any number of rows."""

@@ -23,13 +23,19 @@ from detden_lite.defense.pipeline import DetectAndDenoise
 
 @dataclass(frozen=True)
 class View:
-    """A defence at one step, for n rows and K latent samples. Nothing that is asked of it changes its memory.
+    """A defence at one step, for n rows and K latent samples. To evaluate it does not change the defence's memory.
 
     Args:
         reconstruct: det(.), from perturbed observations ``[n, obs_dim]`` to reconstructions ``[K, n, obs_dim]``.
         denoise: den(.), likewise.
         scale: units of the detector's score, a number or ``[obs_dim]``.
         threshold: C_anomaly; an alarm is a score above it.
+
+    Example:
+        >>> from detden_lite import View
+        >>> view = View(lambda seen: 0 * seen[None], lambda seen: seen[None], scale=0.5, threshold=1.0)
+        >>> view.deviation(torch.tensor([[1.0, -0.25]]))  # of a detector that always reconstructs zeros
+        tensor([[[2.0000, 0.5000]]])
     """
 
     reconstruct: Callable[[Tensor], Tensor]
@@ -50,7 +56,7 @@ def one_step(part: Recurrent, rows: Tensor, noise: Tensor | None) -> Callable[[T
 
     Args:
         part: the detector or denoiser, whose memory stays as it is.
-        rows: which of its episodes, ``[N]`` bool, n of them.
+        rows: the episodes to look at, ``[N]`` bool, n of them.
         noise: of the latent, standard normal ``[K, n, latent_dim]``; None for the latent's mean, which makes K 1.
 
     Returns:
@@ -85,6 +91,14 @@ def view_defense(
 
     Raises:
         ValueError: if detector or denoiser is no GRU-VAE.
+
+    Example:
+        >>> from detden_lite import RandomStreams, load_defense, view_defense
+        >>> defense, obs = load_defense("hopper", "td3"), torch.zeros(2, 11)
+        >>> defense.reset([0, 1])
+        >>> view = view_defense(defense, torch.tensor([True, True]), RandomStreams(0, [0, 1]), samples=4)
+        >>> view.denoise(obs).shape
+        torch.Size([4, 2, 11])
     """
 
     n, budget, through, units = int(rows.sum()), defense.budget, [], []
@@ -135,7 +149,7 @@ class InformedAttack(BallAttack, ABC):
 
         Args:
             obs: true observations ``[N, obs_dim]``.
-            wanted: whose perturbed observation will be used, ``[N]`` bool, n > 0 of them.
+            wanted: the rows whose perturbed observation will be used, ``[N]`` bool, n > 0 of them.
             world: what ``rollout`` hands to the attack.
             views: gives views of the defence for the n rows.
             streams: of the n rows.

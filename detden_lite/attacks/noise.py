@@ -16,6 +16,17 @@ class UniformNoise(BallAttack):
     Args:
         budget: the ball.
         seed: of the noise.
+
+    Raises:
+        ValueError: if ``budget`` is no ``Budget``; and at the first call, if the observations are not sound.
+
+    Example:
+        >>> import torch
+        >>> from detden_lite import Budget, UniformNoise
+        >>> attack, obs = UniformNoise(Budget(0.1)), torch.zeros(2, 3)
+        >>> attack.reset([0, 1])
+        >>> attack.budget.contains(obs, attack(obs))
+        tensor([True, True])
     """
 
     def __init__(self, budget: Budget, seed: int = 0) -> None:
@@ -38,7 +49,16 @@ class UniformNoise(BallAttack):
 
 
 class GaussianNoise(UniformNoise):
-    """Gaussian noise of standard deviation epsilon (times scale), projected into the ball."""
+    """Gaussian noise of standard deviation epsilon (times scale), projected into the ball; see ``UniformNoise``.
+
+    Example:
+        >>> import torch
+        >>> from detden_lite import Budget, GaussianNoise
+        >>> attack, obs = GaussianNoise(Budget(0.1)), torch.zeros(2, 3)
+        >>> attack.reset([0, 1])
+        >>> attack.budget.contains(obs, attack(obs))
+        tensor([True, True])
+    """
 
     def noisy(self, obs: Tensor) -> Tensor:
         return obs + self.streams.normal(*obs.shape) * self.budget.epsilon * self.budget.scale

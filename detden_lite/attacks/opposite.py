@@ -23,14 +23,30 @@ def action_distance(victim: Victim, action: Tensor) -> Callable[[Tensor], Tensor
 
 
 def opposite_objective(victim: Victim, obs: Tensor) -> Callable[[Tensor], Tensor]:
-    """l_op(o, .): how far the policy's action moves when it sees ``[N, obs_dim]`` perturbed instead of ``obs``."""
+    """l_op(o, .): how far the policy's action moves when it sees ``[N, obs_dim]`` perturbed instead of ``obs``.
+
+    Example:
+        >>> from detden_lite import Victim, opposite_objective
+        >>> victim, obs = Victim([11, 8, 3]), torch.zeros(2, 11)
+        >>> opposite_objective(victim, obs)(obs)
+        tensor([0., 0.])
+    """
     with torch.no_grad():
         distance = action_distance(victim, victim.mean(obs))
     return lambda perturbed: distance(victim.mean(perturbed))
 
 
 class OppositeAttack(GradientAttack):
-    """Projected gradient ascent on l_op; see ``GradientAttack`` for the arguments."""
+    """Projected gradient ascent on l_op; see ``GradientAttack`` for the arguments.
+
+    Example:
+        >>> from detden_lite import Budget, OppositeAttack, Victim
+        >>> victim, obs = Victim([2, 1], gaussian=True), torch.zeros(1, 2)
+        >>> attack = OppositeAttack(victim, Budget(0.1))
+        >>> attack.reset([0])
+        >>> attack(obs).abs()  # of a linear policy a corner of the ball is the worst point
+        tensor([[0.1000, 0.1000]])
+    """
 
     needs = frozenset({"policy"})
     clips = False

@@ -28,6 +28,13 @@ class OptimalAttack(BallAttack):
 
     Raises:
         ValueError: if the adversary is a policy with another number of actions, or, at the first call, of another task.
+
+    Example:
+        >>> from detden_lite import Budget, OptimalAttack
+        >>> attack = OptimalAttack(lambda obs: -obs.sign(), Budget(0.1))  # an adversary that shrinks every number
+        >>> attack.reset([0])
+        >>> attack(torch.tensor([[1.0, -2.0, 0.0]]))
+        tensor([[ 0.9000, -1.9000,  0.0000]])
     """
 
     needs = frozenset({"adversary"})

@@ -1,4 +1,4 @@
-"""What comes of a perturbed observation, as an attacker who knows the defence sees it before choosing it."""
+"""The consequences of a perturbed observation, as an attacker who knows the defence predicts them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,12 +8,20 @@ from torch import Tensor
 
 from detden_lite.attacks.informed import View
 
-FORBIDDEN = -1e12  # below any damage: a surrogate's value where the detector does not do what it is to do
+FORBIDDEN = -1e12  # below any damage: the scale of a surrogate where the detector does the opposite of what is wanted
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What comes of n perturbed observations, in K samples of the defence's noise."""
+    """The predicted consequences of n perturbed observations, in K samples of the defence's noise.
+
+    Example:
+        >>> from detden_lite import Outcome
+        >>> deviation = torch.tensor([[[0.5, 1.0], [3.0, 0.0]]])  # one sample, two observations of two numbers
+        >>> outcome = Outcome(deviation, torch.tensor([8.0, 8.0]), torch.tensor([[1.0, 1.0]]), threshold=2.0)
+        >>> outcome.alarm, outcome.damage
+        (tensor([[False,  True]]), tensor([8., 1.]))
+    """
 
     deviation: Tensor  # see ``View``, [K, n, obs_dim]
     bare: Tensor  # the damage of pi(o_hat), [n]
@@ -48,7 +56,7 @@ class Outcome:
     def quiet(self, allowed: float = 0.5) -> Tensor:
         """A surrogate for undetected damage, ``[n]``: that of pi(o_hat), and minus the excess where samples alarm.
 
-        There every component that deviates too far counts, not only the worst: so all are taken back at once.
+        The excess is summed over the components that deviate too far, so that one step takes all of them back.
 
         Args:
             allowed: the part of the samples that may alarm.
@@ -59,7 +67,7 @@ class Outcome:
     def loud(self) -> Tensor:
         """A surrogate for damage through the denoiser, ``[n]``: that of pi(den(o_hat)) where most samples alarm.
 
-        Elsewhere it is minus what is missing for an alarm.
+        Elsewhere it is minus the distance to the threshold.
         """
         missing = (self.threshold - self.deviation.amax(-1)).relu().mean(0)
         return torch.where(self.alarm.float().mean(0) > 0.5, self.denoised.mean(0), FORBIDDEN * (1 + missing))

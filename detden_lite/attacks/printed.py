@@ -36,7 +36,12 @@ class PrintedAttack(InformedAttack):
         view: see ``InformedAttack``.
 
     Raises:
-        ValueError: for another form, or a weight below 0 or without end.
+        ValueError: for another form, or a weight that is negative or infinite.
+
+    Example:
+        >>> from detden_lite import Budget, OppositeAttack, PrintedAttack, Victim
+        >>> PrintedAttack(OppositeAttack(Victim([11, 8, 3]), Budget(0.1)), "appendix").settings
+        {'form': 'appendix', 'weight': 1.0}
     """
 
     def __init__(

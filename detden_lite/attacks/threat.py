@@ -20,6 +20,12 @@ class Threat:
 
     Raises:
         ValueError: if one of them is not in its range.
+
+    Example:
+        >>> from detden_lite import Budget, Threat, Victim, get_task
+        >>> threat, victim = Threat(Budget(0.1), steps=10, rate=0.5), Victim([11, 8, 3])
+        >>> threat.attack("opposite", victim, get_task("hopper")).steps, threat.timing("random", victim).rate
+        (10, 0.5)
     """
 
     budget: Budget

@@ -12,7 +12,12 @@ from detden_lite.victims.victim import Victim
 
 
 class Always:
-    """Attack at every step."""
+    """Attack at every step.
+
+    Example:
+        >>> Always()(torch.zeros(2, 11))
+        tensor([True, True])
+    """
 
     def reset(self, episodes: Sequence[int]) -> None:
         pass
@@ -25,11 +30,17 @@ class Vulnerable:
     """1_vul: attack where V(o) < C_vul.
 
     Args:
-        victim: whose value function is asked.
+        victim: its value function is used.
         threshold: C_vul, in units of discounted return.
 
     Raises:
         ValueError: if the threshold is no number.
+
+    Example:
+        >>> from detden_lite import Victim, Vulnerable
+        >>> victim, obs = Victim([11, 8, 3], value=[11, 8, 1], gaussian=True), torch.zeros(1, 11)
+        >>> Vulnerable(victim, victim.value(obs).item() + 1)(obs), Vulnerable(victim, victim.value(obs).item())(obs)
+        (tensor([True]), tensor([False]))
     """
 
     def __init__(self, victim: Victim, threshold: float) -> None:
@@ -44,7 +55,14 @@ class Vulnerable:
 
 
 class After:
-    """Attack at every step from ``step`` on: to attack a robot that is already walking."""
+    """Attack at every step from ``step`` on: to attack a robot that is already walking.
+
+    Example:
+        >>> timing = After(1)
+        >>> timing.reset([0])
+        >>> [timing(torch.zeros(1, 11)).item() for _ in range(3)]
+        [False, True, True]
+    """
 
     def __init__(self, step: int) -> None:
         check_whole(0, step=step)
@@ -60,7 +78,14 @@ class After:
 
 
 class Random:
-    """Attack at random steps, a fraction ``rate`` of them: the control that a timing must beat at the same rate."""
+    """Attack at random steps, a fraction ``rate`` of them: the control that a timing must beat at the same rate.
+
+    Example:
+        >>> timing = Random(1.0)
+        >>> timing.reset([0, 1])
+        >>> timing(torch.zeros(2, 11))
+        tensor([True, True])
+    """
 
     def __init__(self, rate: float, seed: int = 0) -> None:
         check_between(0, 1, rate=rate)

@@ -23,6 +23,10 @@ class LinearRecipe:
 
     Raises:
         ValueError: if one of them is not in its range.
+
+    Example:
+        >>> LinearRecipe(population=32).elites
+        16
     """
 
     generations: int = 20
@@ -51,6 +55,15 @@ class LinearMaps:
     Args:
         normalizer: a policy whose normaliser the observations go through.
         maps: ``[N, obs_dim, obs_dim + 1]``, weights with the bias as last column.
+
+    Example:
+        >>> from detden_lite import Budget, LinearMaps, OptimalAttack, Victim
+        >>> maps = torch.zeros(2, 11, 12)
+        >>> maps[1, :, -1] = 1  # the second always perturbs by the ball's radius
+        >>> attack = OptimalAttack(LinearMaps(Victim([11, 11]), maps), Budget(0.5))
+        >>> attack.reset([0, 1])
+        >>> attack(torch.zeros(2, 11))[:, 0]
+        tensor([0.0000, 0.5000])
     """
 
     def __init__(self, normalizer: Victim, maps: Tensor):
@@ -62,7 +75,12 @@ class LinearMaps:
 
 
 def elite_weights(n: int) -> Tensor:
-    """How much each of n elites counts, ``[n]``, the best first: the logarithmic weights of CMA-ES (Hansen, 2016)."""
+    """How much each of n elites counts, ``[n]``, the best first: the logarithmic weights of CMA-ES (Hansen, 2016).
+
+    Example:
+        >>> elite_weights(2)
+        tensor([0.8042, 0.1958])
+    """
     weights = np.log(n + 0.5) - torch.arange(1, n + 1, dtype=torch.float32).log()
     return weights / weights.sum()
 

@@ -54,12 +54,19 @@ def check_attack(
 
     Args:
         attack: makes one of a victim, a budget and a number of gradient steps; the class ``OppositeAttack`` does.
-        victim: whom to attack.
+        victim: the policy under attack.
         other: another victim of the same task: an attack that was made for it is tried on this one.
-        task: where they act.
+        task: that of both.
         seeds: one an episode; the same for all.
         steps: the longest an episode may be; the task's horizon by default.
         iterations: gradient steps of the attack at its full strength.
+
+    Example:
+        >>> from detden_lite import QFunctionAttack, get_task, load_victim, sanity
+        >>> victims = load_victim("hopper", "td3"), load_victim("hopper", "ppo")
+        >>> found = sanity.check_attack(QFunctionAttack, *victims, get_task("hopper"), [0, 1], steps=5, iterations=2)
+        >>> [check.rule for check in found][0]
+        'more steps are never weaker'
     """
 
     def returns(attack: Attack | None) -> np.ndarray:
