@@ -5,8 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from tqdm import tqdm
 
+from detden_lite.core.arguments import check_whole
 from detden_lite.core.tasks import Task
 from detden_lite.core.types import Trajectories
+from detden_lite.simulation import guests
 from detden_lite.simulation.rollout import rollout
 from detden_lite.victims.victim import Victim
 
@@ -29,9 +31,22 @@ def collect_normal(
             very regular policy shows its defence only one gait; harmless noise shows what lies beside it.
         lockstep: how many episodes run together.
         steps: the longest an episode may be; the task's horizon by default.
+
+    Raises:
+        ValueError: names the argument that is wrong.
+
+    Example:
+        >>> from detden_lite import get_task, load_victim
+        >>> collect_normal(load_victim("hopper", "td3"), get_task("hopper"), range(3), steps=5).obs.shape
+        (3, 5, 11)
     """
+    guests.check_seeds(seeds)
+    guests.check_horizon(steps)
+    check_whole(1, lockstep=lockstep)
+    if not len(action_noise):
+        raise ValueError("action_noise is empty: give the noise of at least one episode, such as (0.0,)")
+    noise = guests.check_noise(np.resize(np.asarray(action_noise, dtype=np.float32), len(seeds)), len(seeds), 1)
     steps = steps or task.horizon
-    noise = np.resize(np.asarray(action_noise, dtype=np.float32), len(seeds))
     obs = np.zeros((len(seeds), steps, task.obs_dim), np.float32)
     lengths = np.zeros(len(seeds), np.int64)
     for start in tqdm(range(0, len(seeds), lockstep), desc=f"normal trajectories of {task.name}", unit="batch"):

@@ -1,28 +1,35 @@
 """The paper's five tasks with MuJoCo stepped directly, and observations, rewards and ends computed for all N at once.
 
-They are gymnasium's to the last bit: the same operations in the same order. ``Simulator`` is easier to read.
+They are gymnasium's to the last bit: the same operations in the same order, which a test asserts. To learn what a
+simulator does, read ``Simulator``; this module has the same methods, and is faster.
 """
 
 from collections.abc import Sequence
 
-import gymnasium
 import mujoco
 import numpy as np
 
-from detden_lite.simulation.simulator import Simulator, make
+from detden_lite.simulation.simulator import Robot, Simulator, make_robot
 
 
-def make_simulator(env_id: str, seeds: Sequence[int]) -> Simulator:
+def make_simulator(env_id: str, seeds: Sequence[int], fast: bool = True) -> Simulator:
     """The faster simulator for the paper's five tasks, gymnasium's own loop for any other environment.
 
     Args:
         env_id: a gymnasium MuJoCo environment, such as "Hopper-v5".
         seeds: one seed an episode; N of them.
+        fast: False for gymnasium's own loop everywhere, with the same numbers.
+
+    Example:
+        >>> [type(make_simulator("Hopper-v5", [0], fast)).__name__ for fast in (True, False)]
+        ['Upright', 'Simulator']
+        >>> type(make_simulator("Swimmer-v5", [0])).__name__
+        'Simulator'
     """
-    return RULES.get(env_id, Simulator)(env_id, seeds)
+    return (RULES.get(env_id, Simulator) if fast else Simulator)(env_id, seeds)
 
 
-def healthy(env: gymnasium.Env, state: np.ndarray) -> np.ndarray:
+def healthy(env: Robot, state: np.ndarray) -> np.ndarray:
     """Where a robot is as it should be; elsewhere its episode ends.
 
     Args:
@@ -50,7 +57,7 @@ def healthy(env: gymnasium.Env, state: np.ndarray) -> np.ndarray:
     return well
 
 
-def _twin(env: gymnasium.Env) -> gymnasium.Env:
+def _twin(env: Robot) -> Robot:
     """The same environment with a world of its own. (copy.copy would compile its model again.)"""
     twin = object.__new__(type(env))
     vars(twin).update(vars(env), data=mujoco.MjData(env.model), mujoco_renderer=None)
@@ -65,8 +72,8 @@ class FastSimulator(Simulator):
     and velocities are read once a step, so what others write into a world shows after the next one.
     """
 
-    def _make(self, env_id: str, n: int) -> list[gymnasium.Env]:
-        self.env = make(env_id).unwrapped
+    def _make(self, env_id: str, n: int) -> list[Robot]:
+        self.env = make_robot(env_id)
         envs = [_twin(self.env) for _ in range(n)]
         self.worlds = [(env.data, env.data.ctrl) for env in envs]
         self.moving = [part for env in envs for part in (env.data.qpos, env.data.qvel)]
@@ -150,7 +157,7 @@ class Upright(FastSimulator):
 class Ant(FastSimulator):
     """Ant, whose contact forces are clipped, in what it sees and in what they cost."""
 
-    def _make(self, env_id: str, n: int) -> list[gymnasium.Env]:
+    def _make(self, env_id: str, n: int) -> list[Robot]:
         envs = super()._make(env_id, n)
         body = self.env.model.body(self.env._main_body).id
         self.bodies = [env.data.xpos[body] for env in envs]
@@ -173,7 +180,7 @@ class Ant(FastSimulator):
 class Humanoid(FastSimulator):
     """Humanoid, whose centre of mass is to go forward and whose contact cost is clipped."""
 
-    def _make(self, env_id: str, n: int) -> list[gymnasium.Env]:
+    def _make(self, env_id: str, n: int) -> list[Robot]:
         envs = super()._make(env_id, n)
         self.bodies = [env.data.xipos.reshape(-1) for env in envs]
         return envs

@@ -4,12 +4,12 @@ They are checked once: a guest that keeps its contract at the first step is trus
 """
 
 from collections.abc import Sequence
-from numbers import Integral
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from detden_lite.core.arguments import check_whole
 from detden_lite.core.types import KNOWLEDGE, Verdict
 
 
@@ -22,8 +22,10 @@ def check_guests(attack: object, timing: object, defense: object) -> None:
     for name, guest, methods in (
         ("attack", attack, ("needs", "reset", "__call__")),
         ("timing", timing, ("reset", "__call__")),
-        ("defense", defense, ("reset", "__call__")),
+        ("defense", defense, ("reset", "__call__") + ("reveal",) * ("truth" in getattr(defense, "needs", ()))),
     ):
+        if isinstance(guest, type):
+            raise ValueError(f"{name}: {guest.__name__} is a class; give an object made of it")
         if guest is not None and (lacks := [m for m in methods if not hasattr(guest, m)]):
             article = "an attack such as OppositeAttack(victim, budget)" if name == "attack" else f"a {name} object"
             raise ValueError(f"{name}: {guest!r} has no {' and no '.join(lacks)}; give {article}")
@@ -37,22 +39,25 @@ def check_seeds(seeds: Sequence[int]) -> None:
     """Whether they are whole numbers of at least 0, one at least."""
     if not len(seeds):
         raise ValueError("seeds is empty: give one seed for each episode")
-    if wrong := [seed for seed in seeds if not isinstance(seed, Integral) or seed < 0]:
-        raise ValueError(f"seeds: each must be a whole number of at least 0, not {wrong[0]!r}")
+    for seed in seeds:
+        check_whole(0, **{"each of seeds": seed})
 
 
 def check_horizon(steps: int | None, name: str = "steps") -> None:
     """Whether a number of steps is None or at least 1."""
-    if steps is not None and (not isinstance(steps, Integral) or steps < 1):
-        raise ValueError(f"{name} must be a whole number of at least 1, or None for the task's horizon, not {steps!r}")
+    if steps is not None:
+        check_whole(1, **{name: steps})
 
 
-def check_noise(action_noise: float | np.ndarray | Tensor) -> Tensor:
+def check_noise(action_noise: float | np.ndarray | Tensor, n: int, action_dim: int) -> Tensor:
     """The exploration noise as ``[1 or N, 1 or action_dim]``; it must be finite and at least 0."""
     noise = torch.as_tensor(action_noise, dtype=torch.float32)
     if not (noise.isfinite() & (noise >= 0)).all():
         raise ValueError(f"action_noise must be finite and at least 0 everywhere, not {action_noise}")
-    return noise if noise.ndim == 2 else noise.reshape(-1, 1)
+    noise = noise if noise.ndim == 2 else noise.reshape(-1, 1)
+    if noise.shape[0] not in (1, n) or noise.shape[1] not in (1, action_dim):
+        raise ValueError(f"action_noise must be one number, [{n}] or [{n}, {action_dim}], not {list(noise.shape)}")
+    return noise
 
 
 def check_timing(attacked: Tensor, n: int) -> None:

@@ -1,14 +1,16 @@
 """A cross-entropy planner with the true simulator: open-loop action sequences that minimise a task's return."""
 
 from collections.abc import Sequence
+from math import inf
 
 import mujoco
 import mujoco.rollout
 import numpy as np
 
+from detden_lite.core.arguments import check_between, check_whole
 from detden_lite.core.random_streams import RandomStreams
 from detden_lite.simulation.fast_simulator import healthy
-from detden_lite.simulation.simulator import make
+from detden_lite.simulation.simulator import Robot, make_robot
 
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
@@ -25,14 +27,22 @@ class OpenLoop:
         threads: simulate in this many threads.
 
     Raises:
-        ValueError: for another environment.
+        ValueError: for another environment, or no threads.
+
+    Example:
+        >>> worlds = OpenLoop("Hopper-v5")
+        >>> _ = worlds.env.reset(seed=0)
+        >>> state, warmstart, x = (np.array([part]) for part in worlds.start(worlds.env))
+        >>> worlds.rewards(state, warmstart, x, np.zeros((1, 5, 3))).shape
+        (1, 5)
     """
 
-    def __init__(self, env_id: str, threads: int = 1):
+    def __init__(self, env_id: str, threads: int = 1) -> None:
+        check_whole(1, threads=threads)
         self.name = env_id.split("-")[0]
         if self.name not in ("Hopper", "Walker2d", "HalfCheetah", "Ant", "Humanoid"):
             raise ValueError(f"env_id: the planner does not know the reward of {env_id}")
-        self.env = make(env_id).unwrapped
+        self.env = make_robot(env_id)
         self.model = self.env.model
         if self.name == "Humanoid":  # its reward follows the centre of mass, which is no part of the state
             spec = mujoco.MjSpec.from_file(self.env.fullpath)
@@ -43,7 +53,7 @@ class OpenLoop:
         self.data = [mujoco.MjData(self.model) for _ in range(threads)]
         self.pool = mujoco.rollout.Rollout(nthread=threads if threads > 1 else 0)
 
-    def start(self, env) -> tuple[np.ndarray, np.ndarray, float]:
+    def start(self, env: Robot) -> tuple[np.ndarray, np.ndarray, float]:
         """The full state, the solver's warm start and the forward position of an environment as it is now."""
         state = np.empty(mujoco.mj_stateSize(env.model, STATE))
         mujoco.mj_getState(env.model, env.data, state, STATE)
@@ -89,14 +99,28 @@ class CEMPlanner:
         floor: the least standard deviation, in units of the action range.
         threads: simulate in this many threads.
         seed: of the samples.
+
+    Raises:
+        ValueError: names the argument that is wrong.
+
+    Example:
+        >>> planner = CEMPlanner("Hopper-v5", horizon=3, population=8, elites=2)
+        >>> planner.reset([0])
+        >>> env = planner.worlds.env
+        >>> _ = env.reset(seed=0)
+        >>> planner.plan([env], np.array([True])).shape
+        (1, 3)
     """
 
     def __init__(
         self, env_id: str, horizon: int = 15, population: int = 64, iterations: int = 4, elites: int = 8,
         floor: float = 0.01, threads: int = 1, seed: int = 0,
-    ):  # fmt: skip
-        if not 1 <= elites <= population or horizon < 1 or iterations < 1:
-            raise ValueError("horizon, iterations and elites must be at least 1, and elites at most the population")
+    ) -> None:  # fmt: skip
+        check_whole(1, horizon=horizon, population=population, iterations=iterations, elites=elites)
+        check_whole(0, seed=seed)
+        check_between(0, inf, floor=floor)
+        if elites > population:
+            raise ValueError(f"elites must be at most the population of {population}, not {elites}")
         self.horizon, self.population, self.iterations, self.elites = horizon, population, iterations, elites
         self.floor = floor
         self.worlds, self.seed = OpenLoop(env_id, threads), seed
@@ -109,26 +133,25 @@ class CEMPlanner:
         middle = (self.low + self.high) / 2
         self.mean = np.tile(middle, (len(episodes), self.horizon, 1))
 
-    def plan(self, envs: Sequence, wanted: np.ndarray) -> np.ndarray:
+    def plan(self, envs: Sequence[Robot], wanted: np.ndarray) -> np.ndarray:
         """The best first actions ``[N, action_dim]``; rows that are not ``wanted`` keep what was planned before.
 
         Args:
             envs: N unwrapped environments, in the order of the episodes; they are only looked at.
             wanted: for which of them to plan, ``[N]`` bool.
         """
-        n, rows = len(envs), np.flatnonzero(wanted)
+        n, rows = len(envs), np.flatnonzero(wanted).tolist()
         dim = self.population * self.mean[0].size
         # Every episode draws at every step, so that its samples do not depend on when it is attacked.
         noise = [self.streams.normal(n, dim).numpy()[rows].astype(float) for _ in range(self.iterations)]
         if len(rows):
             self.mean[rows] = self._improve(self.mean[rows], [envs[i] for i in rows], noise)
         first = self.mean[:, 0].copy()
-        self.mean = np.concatenate(
-            [self.mean[:, 1:], self.mean[:, -1:]], axis=1
-        )  # the next step begins where this ends
+        # The next step begins where this one ends.
+        self.mean = np.concatenate([self.mean[:, 1:], self.mean[:, -1:]], axis=1)
         return first
 
-    def _improve(self, mean: np.ndarray, envs: list, noise: list[np.ndarray]) -> np.ndarray:
+    def _improve(self, mean: np.ndarray, envs: list[Robot], noise: list[np.ndarray]) -> np.ndarray:
         n, p = len(envs), self.population
         starts = [self.worlds.start(env) for env in envs]
         states, warmstarts, x = (np.repeat(np.array(part), p, axis=0) for part in zip(*starts, strict=True))

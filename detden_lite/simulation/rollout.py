@@ -68,13 +68,14 @@ def rollout(
     guests.check_seeds(seeds)
     guests.check_horizon(steps)
     guests.check_guests(attack, timing, defense)
-    noise_size = guests.check_noise(action_noise)
+    noise_size = guests.check_noise(action_noise, len(seeds), task.action_dim)
     simulator = make_simulator(task.env_id, seeds)
     n = len(seeds)
     for guest in (attack, timing, defense):
         if guest is not None:
             guest.reset(simulator.seeds)
     needs = attack.needs if attack is not None else frozenset()
+    reveal = getattr(defense, "reveal") if "truth" in getattr(defense, "needs", ()) else None  # noqa: B009 an oracle's
     exploration = RandomStreams(1, simulator.seeds)
     half_range = (victim.action_high - victim.action_low) / 2
 
@@ -102,8 +103,8 @@ def rollout(
             perturbed = torch.where(attacked[:, None], found, true)
         shown, alarm, score, denoised = perturbed, nothing, no_score, perturbed
         if defense is not None:
-            if "truth" in getattr(defense, "needs", ()):
-                defense.reveal(true, attacked)
+            if reveal is not None:
+                reveal(true, attacked)
             verdict = defense(perturbed, action)
             if step == 0:
                 guests.check_verdict(verdict, perturbed)

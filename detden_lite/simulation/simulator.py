@@ -1,10 +1,13 @@
 """N worlds of one task, stepped together: gymnasium's own environments, without their wrappers."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import gymnasium
 import mujoco
 import numpy as np
+
+Robot = Any  # an unwrapped MujocoEnv; what it says of its rewards and limits is its task's own, and has no type
 
 
 def make(env_id: str) -> gymnasium.Env:
@@ -17,24 +20,40 @@ def make(env_id: str) -> gymnasium.Env:
         mujoco.set_mju_user_warning(before)
 
 
+def make_robot(env_id: str) -> Robot:
+    """The environment without its wrappers: that saves the time of the checks, and a time limit is the caller's."""
+    return make(env_id).unwrapped
+
+
 class Simulator:
-    """N gymnasium MuJoCo environments in lockstep. ``fast_simulator`` has the same for the paper's tasks, faster.
+    """N gymnasium MuJoCo environments in lockstep: the version to read.
+
+    ``make_simulator`` gives a faster one for the paper's tasks, which is the same to the last bit.
 
     Args:
         env_id: a gymnasium MuJoCo environment, such as "Hopper-v5".
         seeds: one seed an episode; N of them.
+
+    Raises:
+        ValueError: if there are no seeds.
+
+    Example:
+        >>> simulator = Simulator("Hopper-v5", [0, 1])
+        >>> obs = simulator.reset()
+        >>> obs, reward, ended = simulator.step(np.zeros((2, 3)))
+        >>> obs.shape, reward.shape, ended
+        ((2, 11), (2,), array([False, False]))
     """
 
-    def __init__(self, env_id: str, seeds: Sequence[int]):
+    def __init__(self, env_id: str, seeds: Sequence[int]) -> None:
         if not len(seeds):
             raise ValueError("seeds is empty: give one seed for each episode")
         self.envs = self._make(env_id, len(seeds))
         self.seeds = [int(seed) for seed in seeds]
         self.alive = np.ones(len(seeds), dtype=bool)
 
-    def _make(self, env_id: str, n: int) -> list[gymnasium.Env]:
-        # The unwrapped environment saves the time of the checks; a time limit is the caller's.
-        return [make(env_id).unwrapped for _ in range(n)]
+    def _make(self, env_id: str, n: int) -> list[Robot]:
+        return [make_robot(env_id) for _ in range(n)]
 
     def reset(self) -> np.ndarray:
         """Start every episode from its seed. Returns observations ``[N, obs_dim]`` float32."""

@@ -2,6 +2,7 @@
 
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import gymnasium
 import numpy as np
@@ -11,8 +12,11 @@ from detden_lite.simulation.simulator import make
 from detden_lite.victims.recipes import PPORecipe, TD3Recipe
 from detden_lite.victims.training import train
 
+if TYPE_CHECKING:
+    from stable_baselines3.common.vec_env import VecEnv
 
-def task_worlds(task: Task, n: int):
+
+def task_worlds(task: Task, n: int) -> "VecEnv":
     """n worlds of a task, where a victim is trained."""
     from stable_baselines3.common.env_util import make_vec_env
 
@@ -20,7 +24,7 @@ def task_worlds(task: Task, n: int):
 
 
 def _make(task: Task) -> gymnasium.Env:
-    # Networks compute in float32; a replay buffer of float64 would be twice as large for nothing.
+    # Networks compute in float32; a replay buffer of float64 would be twice as large without benefit.
     space = gymnasium.spaces.Box(-np.inf, np.inf, (task.obs_dim,), np.float32)
     env = make(task.env_id)
     return gymnasium.wrappers.TransformObservation(env, lambda obs: obs.astype(np.float32), space)

@@ -61,9 +61,18 @@ def test_another_environment_is_refused():
         OpenLoop("Swimmer-v5")
 
 
-def test_a_planner_needs_elites_among_its_population():
-    with pytest.raises(ValueError, match="elites"):
-        CEMPlanner("Hopper-v5", population=4, elites=5)
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *((name, value) for name in ("horizon", "population", "iterations", "elites", "threads") for value in (0, 1.5)),
+        *(("floor", value) for value in (-0.1, np.nan, np.inf)),
+        ("elites", 65),
+        ("seed", -1),
+    ],
+)
+def test_a_planner_with_a_bad_number_is_refused_by_name(name, value):
+    with pytest.raises(ValueError, match=f"{name} must be"):
+        CEMPlanner("Hopper-v5", **{name: value})
 
 
 def halfcheetahs(n: int) -> list:

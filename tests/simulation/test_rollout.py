@@ -10,7 +10,6 @@ from detden_lite.attacks.noise import UniformNoise
 from detden_lite.attacks.opposite import OppositeAttack
 from detden_lite.attacks.timing import Random
 from detden_lite.core.budget import Budget
-from detden_lite.core.tasks import get_task
 from detden_lite.core.types import Episodes
 from detden_lite.simulation.rollout import rollout
 
@@ -213,8 +212,3 @@ class Broken(Curious):
 def test_what_is_not_a_number_never_reaches_the_robot(defense):
     with pytest.raises(ValueError, match="NaN"):
         play(attack=Broken(), defense=defense)
-
-
-def test_a_victim_of_another_task_is_refused():
-    with pytest.raises(ValueError, match="victim.*17 observations.*Hopper-v5 has 11"):
-        rollout(make_victim(get_task("walker2d")), HOPPER, [0])
