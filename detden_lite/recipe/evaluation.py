@@ -106,7 +106,7 @@ def adapt(run: Run, defenses: Sequence[str] = (MAIN,)) -> None:
 
 
 def run_cells(run: Run, wanted: Iterable[Cell], threat: Threat) -> None:
-    """Run these cells of the run's victim on the report's episodes, a record each; what is there is left as it is."""
+    """Run these cells of the run's victim on the report's episodes, a record each; existing records are left alone."""
     victim = run.victim()
     unattacked: dict[str, Episodes] = {}  # of the defence at hand: what its attacked cells are compared with
     for cell in wanted:
@@ -137,5 +137,5 @@ def ablate(run: Run) -> None:
 
 
 def explain(run: Run) -> None:
-    """Of those, the cells that tell which part of the main defence falls short."""
+    """The cells of those assembled defences that show which part of the main defence falls short."""
     evaluate(run, variants.EXPLAINING)

@@ -1,4 +1,4 @@
-"""What the paper reports of its own experiments, as data: tables 1 to 4, by (task, algorithm).
+"""The numbers that the paper reports of its own experiments: tables 1 to 4, by (task, algorithm).
 
 Four numbers stand for the four attacks in the order of ``catalogue.FOUR``.
 """

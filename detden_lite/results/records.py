@@ -1,4 +1,4 @@
-"""Result records: what one cell came to, typed, and read from and written to JSON."""
+"""Result records: the results of one cell, typed, and read from and written to JSON."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
@@ -61,7 +61,7 @@ class EpisodeScores:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Record(Mapping[str, Any]):
-    """What one cell came to.
+    """The results of one cell.
 
     Its entries are attributes, and can be read like those of the JSON file as well: ``record["estimate"]["mean"]`` is
     ``record.estimate.mean``. Two records are equal if their JSON is.
@@ -69,7 +69,7 @@ class Record(Mapping[str, Any]):
     Args:
         schema: the version of the format; see ``SCHEMA``.
         task: "hopper".
-        cell: who met which attack, when, with which defence.
+        cell: the attack, its timing and the defence.
         settings: of the attack and of the defence: epsilon, norm, steps, c_anomaly and the like.
         seeds: the seed of the first episode, and the number of episodes N.
         returns: of each episode.
@@ -152,7 +152,7 @@ class Record(Mapping[str, Any]):
         return record
 
     def to_json(self) -> dict[str, Any]:
-        """The record as a JSON object; what is None because the record is older is left out."""
+        """The record as a JSON object, without the entries that an older record lacks."""
         absent = ["schema", "episodes"] if self.schema == 1 else []
         absent += ["auroc", "delay"] if self.delay is None else []
         absent += ["auroc_clean", "denoiser_mae_live", "live_dimensions"] if self.live_dimensions is None else []

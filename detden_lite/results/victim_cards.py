@@ -99,7 +99,7 @@ def load_card(task: str, algo: str, root: Path = manifest.DATA) -> VictimCard:
             versions=about["versions"],
             fit=manifest.read_json(critic, root)["fit"] if critic.exists() else None,
         )
-    except (KeyError, TypeError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise files.ArtifactError(f"{path} is no victim's card ({error!r}); make it with its recipe") from None
 
 

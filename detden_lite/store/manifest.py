@@ -30,7 +30,7 @@ def find_data() -> Path:
 
 DATA = find_data()
 
-REMEDY = "make it anew as it was made, or restore it (what is in data/ with git; data/README.md has its recipe)"
+REMEDY = "make it anew as it was made, or restore it (files of data/ with git; data/README.md has their recipe)"
 
 
 def write_bytes(path: Path, content: bytes, root: Path = DATA) -> None:

@@ -30,7 +30,7 @@ def run(victim, cell, defense=None, n=4, clean=None):
     return run_cell(cell, HOPPER, victim, THREAT, defense, seeds("report", n), steps=26, clean=clean)
 
 
-def test_a_record_says_what_was_done_and_what_came_of_it(victim):
+def test_a_record_has_settings_seeds_and_returns(victim):
     cell = Cell("opposite", "random", "mine")
     record, episodes = run(victim, cell, make_defense())
     assert json.loads(json.dumps(record.to_json(), allow_nan=False)) == record
@@ -43,7 +43,7 @@ def test_a_record_says_what_was_done_and_what_came_of_it(victim):
     assert cell.record_name("hopper", "td3") == "hopper-td3.opposite.random.mine"
 
 
-def test_the_settings_say_what_is_not_the_papers_about_a_defence(victim):
+def test_the_settings_name_each_ablation_of_a_defence(victim):
     own = make_defense()
     for defense, expected in (
         (own, {}),
@@ -57,7 +57,7 @@ def test_the_settings_say_what_is_not_the_papers_about_a_defence(victim):
         assert settings == dict(epsilon=0.075, norm="inf", c_anomaly=1.5) | expected
 
 
-def test_a_record_takes_what_it_is_compared_with_from_clean_episodes(victim):
+def test_a_record_compares_scores_with_clean_episodes(victim):
     _, clean = run(victim, Cell(defense="mine"), make_defense())
     cell = Cell("uniform", defense="mine")
     record, episodes = run(victim, cell, make_defense(), clean=clean)
@@ -118,7 +118,7 @@ def test_no_episode_serves_two_purposes():
 
 
 @pytest.mark.parametrize("name", ["optimal", "linear"])
-def test_a_learned_adversary_attacks_in_a_cell_once_it_is_given(victim, name):
+def test_a_learned_adversary_must_be_given_to_attack(victim, name):
     with pytest.raises(ValueError, match=f"adversaries: the {name} one is missing"):
         run(victim, Cell(name))
     torch.manual_seed(0)

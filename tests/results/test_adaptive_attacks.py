@@ -27,13 +27,13 @@ def test_the_rows_are_those_that_the_recipe_adapts_to():
         assert yaml.safe_load(path.read_text())["adapted"] == ["-".join(row) for row in ADAPTED_ROWS]
 
 
-def test_every_adaptive_attack_is_made_of_one_of_the_papers_and_has_a_name_of_its_own():
+def test_every_adaptive_attack_has_an_unaware_one_and_a_title():
     assert {catalogue.CATALOGUE[attack].unaware for attack in catalogue.ADAPTIVE} == set(catalogue.FOUR)
     assert len({catalogue.TITLES[attack] for attack in catalogue.ADAPTIVE}) == len(catalogue.ADAPTIVE)
     assert catalogue.TITLES["adaptive-qfunction"] == "Q-function, adaptive"
 
 
-def test_only_adaptive_records_of_this_defence_are_loaded_and_altered_ones_refused(tmp_path):
+def test_only_adaptive_records_of_this_defence_are_loaded(tmp_path):
     assert load_adaptive("hopper", "td3", root=tmp_path) == {}
     for attack in ("none", "opposite", "text-opposite", "adaptive-optimal"):
         ship(tmp_path, attack, [10.0, 12.0])
@@ -42,13 +42,17 @@ def test_only_adaptive_records_of_this_defence_are_loaded_and_altered_ones_refus
         ("adaptive-optimal", "always"),
     }
     assert load_adaptive("hopper", "td3", "printed", tmp_path) == {}
+
+
+def test_an_altered_adaptive_record_is_refused(tmp_path):
+    ship(tmp_path, "text-opposite", [10.0, 12.0])
     path = tmp_path / "results" / f"hopper-td3.text-opposite.always.{MAIN}.json"
     path.write_text(path.read_text().replace("12.0", "99.0"))
     with pytest.raises(ArtifactError, match="truncated or altered"):
         load_adaptive("hopper", "td3", root=tmp_path)
 
 
-def test_a_change_is_one_of_the_means_of_the_same_episodes():
+def test_a_change_compares_the_means_of_the_same_episodes():
     """Returns that differ widely, and of which all lose the same part: the part is known exactly."""
     plain = RNG.normal(1_000, 300, 60)
     lost = change(record(0.8 * plain[:40]), record(plain))
@@ -58,7 +62,7 @@ def test_a_change_is_one_of_the_means_of_the_same_episodes():
     assert change(record(plain), record(-plain)) is None  # per cent of what?
 
 
-def test_who_knows_more_and_does_worse_has_failed(tmp_path):
+def test_an_adaptive_attack_that_does_worse_has_failed(tmp_path):
     returns = RNG.normal(1_000, 300, 60)
     for attack, part in (("none", 2.0), ("opposite", 1.0), ("text-opposite", 1.5), ("adaptive-opposite", 0.5)):
         ship(tmp_path, attack, part * returns)
@@ -74,7 +78,7 @@ def test_who_knows_more_and_does_worse_has_failed(tmp_path):
     assert proper.record is adaptive["adaptive-opposite", "always"]
 
 
-def test_the_worst_is_looked_for_among_all_that_are_there(tmp_path):
+def test_the_worst_attack_is_found_among_all_records(tmp_path):
     assert defended_victims.worst({UNATTACKED: record([1, 2])}) is None
     adaptive, plain = {("text-opposite", "always"): record([5, 6])}, {("optimal", "vulnerable"): record([4, 5])}
     assert defended_victims.worst(plain | adaptive) == ("optimal", "vulnerable")

@@ -20,11 +20,15 @@ def ship(root, **returns) -> None:
         manifest.write_json(path, record(values).to_json(), root)
 
 
-def test_only_records_of_this_defence_are_loaded_and_altered_ones_refused(tmp_path):
+def test_only_records_of_this_defence_are_loaded(tmp_path):
     assert load_defended("hopper", "td3", root=tmp_path) == {}
     ship(tmp_path, none_always=[10, 12], enchanting_vulnerable=[3, 5])
     assert set(load_defended("hopper", "td3", root=tmp_path)) == {UNATTACKED, ("enchanting", "vulnerable")}
     assert load_defended("hopper", "td3", "printed", tmp_path) == {}
+
+
+def test_an_altered_record_of_a_defence_is_refused(tmp_path):
+    ship(tmp_path, none_always=[10, 12])
     path = tmp_path / "results" / f"hopper-td3.none.always.{MAIN}.json"
     path.write_text(path.read_text().replace("12.0", "99.0"))
     with pytest.raises(ArtifactError, match="truncated or altered"):
@@ -40,7 +44,7 @@ def test_the_worst_cell_is_attacked():
     assert cell == ("optimal", "vulnerable") and part == of_clean(record([5, 5]), record([10, 10]))
 
 
-def test_what_is_kept_is_a_ratio_of_means_over_the_same_episodes():
+def test_the_kept_share_is_a_ratio_of_paired_means():
     """Episodes that differ widely, of all of which the same part is kept: the part is known better than the returns."""
     bare = RNG.normal(1_000, 300, 60)
     part = of_clean(record(0.8 * bare), record(bare))

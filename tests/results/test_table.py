@@ -9,7 +9,7 @@ from detden_lite.store import manifest
 from detden_lite.store.manifest import DATA
 
 
-def test_the_table_has_a_line_for_each_record_and_says_what_it_says(tmp_path):
+def test_the_table_has_a_line_for_each_record(tmp_path):
     shutil.copytree(DATA / "results", tmp_path / "results")
     shutil.copy(DATA / "manifest.json", tmp_path)
     with table.write_table(tmp_path).open(newline="") as file:
@@ -29,11 +29,18 @@ def test_the_table_has_a_line_for_each_record_and_says_what_it_says(tmp_path):
             assert line[column] == ("" if value is None else str(value)), (name, column)
 
 
-def test_a_run_without_records_and_one_that_was_altered_are_refused(tmp_path):
+def test_a_table_without_records_is_refused(tmp_path):
     with pytest.raises(ArtifactError, match="holds no record; run the evaluate stage first"):
         table.write_table(tmp_path)
-    manifest.write_json(tmp_path / "results" / "hopper-td3.none.always.none.json", {}, tmp_path)
-    (tmp_path / "results" / "hopper-td3.none.always.none.json").write_text('{"cell": {}}')
-    with pytest.raises(ArtifactError, match="truncated or altered"):
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"), [('{"cell": {}}', "truncated or altered"), ("{}", "not a result record")]
+)
+def test_a_table_of_damaged_records_is_refused(tmp_path, content, problem):
+    path = tmp_path / "results" / "hopper-td3.none.always.none.json"
+    manifest.write_bytes(path, b"{}", tmp_path)
+    path.write_text(content)
+    with pytest.raises(ArtifactError, match=problem):
         table.write_table(tmp_path)
     assert not (tmp_path / "tables").exists()

@@ -23,7 +23,7 @@ from detden_lite.store import manifest
 REFERENCES = Path(__file__).resolve().parents[2] / "book" / "references.bib"
 
 
-def test_the_rows_are_the_papers_and_each_has_numbers_to_compare_with():
+def test_each_row_of_the_paper_has_published_returns():
     assert len(ROWS) == len(set(ROWS)) == 10
     assert set(CLEAN) == set(PUBLISHED) == set(ROWS)
     for (task, _), published in PUBLISHED.items():
@@ -31,7 +31,7 @@ def test_the_rows_are_the_papers_and_each_has_numbers_to_compare_with():
         assert f"{{{published.reference}," in REFERENCES.read_text("utf-8")
 
 
-def test_the_papers_td3_policies_are_the_zoos():
+def test_the_papers_td3_returns_are_close_to_the_zoos():
     """It says that it took them from there: two measurements of one policy should not be far apart."""
     for row in ROWS:
         if row[1] == "td3":
@@ -49,14 +49,14 @@ def test_a_card_says_what_the_sidecar_says(tmp_path):
     assert card.fit is None
 
 
-def test_the_fit_of_a_learned_q_function_is_on_the_card(tmp_path):
+def test_a_card_has_the_fit_of_the_learned_critic(tmp_path):
     ship_victim(tmp_path, "ant", "ppo")
     critic = dict(fit=dict(explained_variance=0.5, action_correlation=0.1))
     manifest.write_json(tmp_path / "ant-ppo" / "critic.json", critic, tmp_path)
     assert load_card("ant", "ppo", tmp_path).fit == critic["fit"]
 
 
-def test_all_that_is_shipped_is_found_in_the_order_of_the_table_and_nothing_else(tmp_path):
+def test_shipped_cards_load_in_the_order_of_the_table(tmp_path):
     assert load_cards(tmp_path) == {}
     for row in (("hopper", "ppo"), ("walker2d", "td3"), ("hopper", "td3")):
         ship_victim(tmp_path, *row)
@@ -72,7 +72,16 @@ def test_an_altered_card_is_refused(tmp_path):
         load_cards(tmp_path)
 
 
-@pytest.mark.parametrize("gap", [dict(estimate=dict(mean=1.0)), dict(recipe=dict(net=16)), dict(learning_curves=[{}])])
+@pytest.mark.parametrize(
+    "gap",
+    [
+        dict(estimate=dict(mean=1.0)),
+        dict(recipe=dict(net=16)),
+        dict(recipe=[]),
+        dict(returns=[[1.0], [2.0, 3.0]]),
+        dict(learning_curves=[{}]),
+    ],
+)
 def test_a_card_that_lacks_something_is_refused(tmp_path, gap):
     ship_victim(tmp_path, **gap)
     with pytest.raises(files.ArtifactError, match=r"victim\.json is no victim's card"):
@@ -89,7 +98,7 @@ def test_the_shipped_cards_load():
         assert (card.fit is None) == (algo == "td3")
 
 
-def test_learning_curves_ring_the_chosen_snapshot_and_mark_the_papers_return(tmp_path):
+def test_learning_curves_mark_the_snapshot_and_the_papers_return(tmp_path):
     ship_victim(tmp_path)
     _, axes = plt.subplots()
     figures.learning_curves(axes, load_card("hopper", "td3", tmp_path))
@@ -127,7 +136,7 @@ films.still(root / "expected.png", run.task, dict(clean=clean), median, seconds=
 """
 
 
-def test_a_portrait_is_a_small_film_of_the_median_episode_and_is_published(tmp_path):
+def test_a_portrait_is_a_small_film_of_the_median_episode(tmp_path):
     root = tmp_path / "run"
     ship_victim(root)
     run_with_gl(SCRIPT, root)

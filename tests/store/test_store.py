@@ -33,7 +33,7 @@ def read_cell(root) -> dict:
     return manifest.read_json(root / "results" / "cell.json", root)
 
 
-def test_what_was_saved_is_what_is_loaded(root):
+def test_loading_gives_what_was_saved(root):
     obs = normal(5, 11)
     victim = models.load_victim("hopper", "td3", root)
     assert torch.equal(victim(obs), make_victim(seed=3)(obs)) and torch.equal(
@@ -96,7 +96,7 @@ def test_without_a_whole_manifest_nothing_is_trusted(root, harm):
         models.load_victim("hopper", "td3", root)
 
 
-def test_a_pickle_is_not_opened_even_where_the_manifest_has_it(root):
+def test_a_pickle_in_the_manifest_is_not_opened(root):
     manifest.write_bytes(root / "hopper-td3" / "victim.safetensors", pickle.dumps(Bomb()), root)
     with pytest.raises(ArtifactError, match="victim.safetensors.*safetensors format"):
         models.load_victim("hopper", "td3", root)
@@ -105,7 +105,7 @@ def test_a_pickle_is_not_opened_even_where_the_manifest_has_it(root):
         tensors.load_tensors(root / "victim.pkl", root)
 
 
-def test_a_stranger_is_refused(root):
+def test_a_file_that_the_manifest_lacks_is_refused(root):
     (root / "results" / "foreign.json").write_text("{}")
     with pytest.raises(ArtifactError, match="foreign.json is not in .*manifest.json"):
         manifest.read_json(root / "results" / "foreign.json", root)
@@ -125,7 +125,7 @@ def test_numbers_that_json_does_not_know_are_refused(root):
     assert read_cell(root) == dict(mean=1.5)
 
 
-def test_made_is_what_is_there_with_its_sidecar_as_the_manifest_has_it(root):
+def test_a_file_is_made_if_its_sidecar_is_too(root):
     victim, record = root / "hopper-td3" / "victim.safetensors", root / "results" / "cell.json"
     assert manifest.is_made(victim, root) and manifest.is_made(record, root)
     victim.with_suffix(".json").unlink()
@@ -279,7 +279,7 @@ manifest.write_json(root / "results" / "cell.json", dict(mean=2.5, more="x" * 10
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
 @pytest.mark.parametrize("name", [r"cell\.json\..+\.new", r"cell\.json"])
-def test_a_kill_in_the_middle_of_a_write_leaves_the_old_file(root, name):
+def test_a_kill_while_writing_leaves_the_old_file(root, name):
     """The process dies with half of the new content written; to the file itself it never writes."""
     status = subprocess.run([sys.executable, "-c", KILLED_WRITE, str(root), name]).returncode
     assert (status, read_cell(root)["mean"]) == ((-9, 1.5) if name.endswith("new") else (0, 2.5))
@@ -287,7 +287,7 @@ def test_a_kill_in_the_middle_of_a_write_leaves_the_old_file(root, name):
     assert read_cell(root) == dict(mean=3.5)
 
 
-def test_writers_side_by_side_all_stand_in_the_manifest(tmp_path):
+def test_the_manifest_lists_the_files_of_parallel_writers(tmp_path):
     def write(i):
         manifest.write_json(tmp_path / f"{i}.json", dict(i=i), tmp_path)
 
@@ -306,7 +306,7 @@ def test_an_adversary_goes_to_disk_and_back(tmp_path, kind):
         models.load_adversary("hopper", "td3", other, tmp_path)
 
 
-def test_what_is_no_adversary_is_refused(tmp_path):
+def test_a_model_that_is_no_adversary_is_refused(tmp_path):
     models.save_adversary("hopper", "td3", "optimal", make_victim(), {}, tmp_path)
     with pytest.raises(ArtifactError, match="adversary.safetensors does not fit .*11 observations to 3 perturbations"):
         models.load_adversary("hopper", "td3", "optimal", tmp_path)
@@ -336,7 +336,7 @@ def test_a_damaged_manifest_is_refused_by_name(root, content):
     [b"", b"[]", b"null", b"3", b"{", b"\xff{}", b'{"a": NaN}', b'{"a": [-Infinity]}', b"[" * 100_000],
     ids=range(9),
 )
-def test_a_file_that_is_no_json_object_is_refused_by_name(root, content):
+def test_a_file_without_a_json_object_is_refused(root, content):
     manifest.write_bytes(root / "results" / "cell.json", content, root)
     with pytest.raises(ArtifactError, match=r"cell\.json is not a JSON object.*restore it"):
         read_cell(root)
@@ -430,7 +430,7 @@ def test_a_sidecar_with_a_wrong_configuration_is_refused(root, config):
         models.load_victim("hopper", "td3", root)
 
 
-def test_an_unknown_model_is_refused_with_the_list_of_those_there(root):
+def test_an_unknown_model_is_refused_with_those_there(root):
     for use, known in (
         (lambda: models.load_victim("hoper", "td3", root), "hopper-td3"),
         (lambda: models.load_victim("hopper", "sac", root), "hopper-td3"),
