@@ -21,13 +21,13 @@ def check_hidden(hidden: Callable[[Callable, Tensor, Tensor, Tensor], Tensor]) -
     deviation = perturbed - det(perturbed)
     right, appendix = -(deviation / scale).abs().amax(-1), ((det(perturbed) - obs) / scale).abs().amax(-1)
     mistakes = {
-        "That is the score itself. To make it large rings the alarm: mind the sign": -right,
-        "That is appendix B's, distance from o: the detector never sees o. It compares what it is shown, perturbed": (
+        "That is the score itself, and a large score raises the alarm: change the sign": -right,
+        "That is the distance from obs, as in appendix B. The detector never sees obs: it compares with perturbed": (
             appendix
         ),
-        "The sign is right, and the distance is from obs; the detector compares with what it is shown": -appendix,
+        "The sign is right, but the distance is from obs; the detector compares with perturbed": -appendix,
         "The detector is shown perturbed, and not obs": -((perturbed - det(obs)) / scale).abs().amax(-1),
-        "The attacker's change is not in it: that is the score of the truth": (
+        "perturbed is not used: that is the score of the true observation": (
             -((obs - det(obs)) / scale).abs().amax(-1)
         ),
         "Divide by scale: the detector's score is z-scored": -deviation.abs().amax(-1),
@@ -44,7 +44,7 @@ def check_hidden(hidden: Callable[[Callable, Tensor, Tensor, Tensor], Tensor]) -
     assert getattr(got, "requires_grad", False), (
         f"{call} has no gradient: without `no_grad` and `detach`, autograd finds it through the detector"
     )
-    print("Right. It grows where the score falls, and o does not occur in it: no detector knows o.")
+    print("Right. It is large where the score is small, and it does not use obs, which no detector knows.")
 
 
 def check_eot_gradient(eot_gradient: Callable[[Callable, Tensor, Tensor], Tensor]) -> None:
@@ -66,7 +66,7 @@ def check_eot_gradient(eot_gradient: Callable[[Callable, Tensor, Tensor], Tensor
     right = every.mean(0)
     mistakes = {
         "That is the gradient in one sample": every[0],
-        "That is the gradient in the last sample: do you overwrite what you add up?": every[-1],
+        "That is the gradient in the last sample: add the gradients up, do not overwrite them": every[-1],
         "That is the sum over the samples; take their mean": every.sum(0),
         "That is the gradient at the mean NOISE. The mean of the damage is another function": slope(noises.mean(0)),
         "That is the gradient without noise": slope(torch.zeros(4, 3)),
@@ -85,7 +85,7 @@ def check_eot_gradient(eot_gradient: Callable[[Callable, Tensor, Tensor], Tensor
         )
         raise
     compare(call, got, right, mistakes)
-    print("Right. Noise whose mean is known is no secret.")
+    print("Right. An attacker averages the noise out, so the noise is no protection.")
 
 
 def check_straight_through(straight_through: Callable[[Callable, Tensor], Tensor]) -> None:
@@ -98,15 +98,15 @@ def check_straight_through(straight_through: Callable[[Callable, Tensor], Tensor
     call = "straight_through(defense, perturbed)"
     got = straight_through(defense, perturbed)
     mistakes = {
-        "That is what went in. The policy is shown what the defence makes of it": perturbed.detach(),
+        "That is perturbed itself. The policy is shown the output of the defence": perturbed.detach(),
         "That is only what the defence changes": (defense(perturbed) - perturbed).detach(),
-        "Both terms are in it, and one too many: perturbed + (defense(perturbed) - perturbed)": (
+        "That adds perturbed once too often: it is perturbed + (defense(perturbed) - perturbed)": (
             (perturbed + defense(perturbed)).detach()
         ),
     }
     compare(call, got, defense(perturbed).detach(), mistakes)
     assert getattr(got, "requires_grad", False), (
-        f"{call} has no gradient: detach the defence's CHANGE alone, and leave perturbed as it is"
+        f"{call} has no gradient: detach only the CHANGE that the defence makes, not perturbed"
     )
     (gradient,) = torch.autograd.grad(got.sum(), perturbed)
     hints = {
@@ -116,4 +116,4 @@ def check_straight_through(straight_through: Callable[[Callable, Tensor], Tensor
         "The defence's own gradient is added to it: detach what the defence gives": torch.full((2, 2), 1.5),
     }
     compare("the gradient of its sum", gradient, torch.ones(2, 2), hints)
-    print("Right. Forwards it is the defence, backwards it is not there.")
+    print("Right. The forward pass is the defence's, and the backward pass ignores it.")

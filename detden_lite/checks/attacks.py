@@ -18,9 +18,10 @@ def check_project_l2(project: Callable[[Tensor, Tensor, float], Tensor]) -> None
     mistakes = {
         "A point that is inside the ball stays where it is": obs + delta / length.clamp_min(1e-9),
         "That clips every coordinate, which is the projection on the l-infinity ball": obs + delta.clamp(-1, 1),
-        "Is the centre added again?": delta * (1 / length.clamp_min(1e-9)).clamp(max=1),
+        "The centre is missing: add obs to the projected perturbation": delta
+        * (1 / length.clamp_min(1e-9)).clamp(max=1),
         "Every row has a length of its own: take the norm along the last dimension": obs + delta / delta.norm(),
-        "Points outside come to the border, at a distance of epsilon; those inside stay": perturbed,
+        "Points outside move to the border, at a distance of epsilon; those inside stay": perturbed,
     }
     got = project(obs, perturbed, 1.0)
     assert torch.isfinite(torch.as_tensor(array("project(obs, perturbed, 1.0)", got))).all(), (
@@ -32,7 +33,7 @@ def check_project_l2(project: Callable[[Tensor, Tensor, float], Tensor]) -> None
     for epsilon in (0.0, 0.5, 4.0):
         expected = Budget(epsilon, norm=2).project(obs, perturbed)
         compare(f"project of 50 random observations with epsilon {epsilon}", project(obs, perturbed, epsilon), expected)
-    print("Right. Who is inside stays, who is outside comes straight to the border.")
+    print("Right. Points inside the ball stay, points outside move straight to its border.")
 
 
 def check_opposite(opposite: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None:
@@ -42,11 +43,11 @@ def check_opposite(opposite: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None
     std = torch.tensor([0.5, 2.0, 1.0])
     step = seen - mean
     mistakes = {
-        "Sigma's inverse divides: a joint that is noisy anyway counts less": (step**2 * std**2).sum(-1),
-        "Sigma holds variances, and action_std is their root": (step**2 / std).sum(-1),
-        "Where does Sigma come in?": (step**2).sum(-1),
-        "The distance is not divided by Sigma but squared and weighted": (step / std).abs().sum(-1),
-        "That is the root of it, which has the same maximiser, but asked for is l_op as it is written": (
+        "Divide by Sigma, do not multiply: an action with a large action_std counts less": (step**2 * std**2).sum(-1),
+        "Sigma holds variances, and action_std is their square root: square it": (step**2 / std).sum(-1),
+        "Sigma is missing: divide the squares by action_std squared": (step**2).sum(-1),
+        "Square the differences: that is the sum of their sizes over action_std": (step / std).abs().sum(-1),
+        "That is the square root of l_op. It has the same maximiser, but the exercise asks for l_op": (
             (step / std).square().sum(-1).sqrt()
         ),
         "That is the KL divergence; l_op is twice as large": (step / std).square().sum(-1) / 2,
@@ -77,12 +78,15 @@ def check_fgsm(fgsm: Callable[[Tensor, Tensor, Tensor, float], Tensor]) -> None:
             obs + start + epsilon * sign
         ),
         "At obs itself the objective's gradient is zero, and the sign of 0 is 0: take the gradient at obs + start": obs,
-        "That goes downhill": obs + (start - epsilon * sign).clamp(-epsilon, epsilon),
-        "Is the centre of the ball obs, not 0?": (start + epsilon * sign).clamp(-epsilon, epsilon),
+        "That is gradient descent: the step must increase the objective": obs
+        + (start - epsilon * sign).clamp(-epsilon, epsilon),
+        "The result lies around 0, and the centre of the ball is obs": (start + epsilon * sign).clamp(
+            -epsilon, epsilon
+        ),
         "A step without its sign is steepest in l2; in l-infinity it is the sign that counts": (
             obs + (start + epsilon * 2 * start @ gain.T @ gain).clamp(-epsilon, epsilon)
         ),
-        "What counts is how far the action moves, gain @ start, not the action itself": (
+        "The objective is how far the action moves, gain @ start, not the action itself": (
             obs + (start + epsilon * at_once).clamp(-epsilon, epsilon)
         ),
         "That is the start, without a step": obs + start,
@@ -113,7 +117,7 @@ def check_vulnerable(vulnerable: Callable) -> None:
 
     def q(obs: Tensor, action: Tensor) -> Tensor:
         assert action.shape == (len(obs), 1), (
-            f"q is asked about an action of shape {tuple(action.shape)}: what does the policy do?"
+            f"q was given an action of shape {tuple(action.shape)}; give it the policy's action, policy(...)"
         )
         return obs.sum(-1) + action.squeeze(-1)
 
@@ -122,9 +126,9 @@ def check_vulnerable(vulnerable: Callable) -> None:
     got = vulnerable(policy, q, obs, 3.0)
     values = q(obs, policy(obs))
     mistakes = {
-        "The attacker strikes where little is to be hoped for: V below the threshold, not above": values > 3,
+        "The attacker strikes where V is below the threshold, not above it": values > 3,
         "The paper has V < C_vul: at the threshold itself there is no attack": values <= 3,
-        "V(o) = Q(o, pi(o)): is the action the policy's?": obs.sum(-1) < 3,
+        "V(o) = Q(o, pi(o)): the action must be the policy's": obs.sum(-1) < 3,
         "Every observation has its own answer; do not average over them": (values.mean() < 3).expand(4),
     }
     compare(call, got, [1, 0, 0, 0], mistakes)
@@ -132,4 +136,4 @@ def check_vulnerable(vulnerable: Callable) -> None:
         f"{call} gives numbers; an indicator is True or False (a bool tensor)"
     )
     compare("vulnerable(policy, q, obs, 3.5)", vulnerable(policy, q, obs, 3.5), [1, 0, 1, 1])
-    print("Right. That is all the attacker needs: policy, critic and one threshold.")
+    print("Right. The attacker needs the policy, its critic and one threshold.")

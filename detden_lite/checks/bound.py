@@ -35,12 +35,12 @@ def check_counterexample(counterexample: Callable[[float], tuple[FiniteMDP, np.n
         )
         value = mdp.value(policy)
         assert np.ptp(value) > 1e-6, (
-            f"every state is worth {value[0]:.4g}, and 0 <= 0 is true. The policy cannot tell the states apart, but "
-            "the world may: which state could pay more, whatever is done there?"
+            f"every state has the value {value[0]:.4g}, so that both sides are 0. The policy is the same in all "
+            "states, but the rewards need not be: let one state pay more, whatever the action"
         )
     print(
         f"Right. The total variation is 0, and the values are {np.round(value, 3).tolist()}: the left side is "
-        f"{np.ptp(value):.3g}, the right side 0. And nobody has attacked anything."
+        f"{np.ptp(value):.3g}, the right side 0. There is no attack in it."
     )
 
 
@@ -54,28 +54,28 @@ def check_exact_and_pinsker(exact_and_pinsker: Callable[[Tensor, Tensor, Tensor]
     moved = mean_2 - mean_1
     distance = (moved / std).norm(dim=-1)
     wrong = {
-        "Has the difference of the means been divided by the standard deviations?": moved.norm(dim=-1),
+        "Divide the difference of the means by the standard deviations": moved.norm(dim=-1),
         "Divide by the standard deviation, not by the variance": (moved / std.square()).norm(dim=-1),
         "Several actions: square, sum, and take the root, as for any distance": (moved / std).abs().sum(-1),
-        "Several actions: the sum over them stands inside the root": (moved / std).sum(-1).abs(),
+        "Several actions: square them, and sum inside the root": (moved / std).sum(-1).abs(),
     }
     hints = {hint: total_variation(d) for hint, d in wrong.items()}
     hints |= {
         "Phi is taken at HALF the distance": 2 * torch.special.ndtr(distance) - 1,
-        "erf(x) is 2 Phi(x sqrt(2)) - 1: mind the root of two": torch.erf(distance / 2),
+        "erf(x) is 2 Phi(x sqrt(2)) - 1: the root of two is missing": torch.erf(distance / 2),
         "This is the whole l1 distance; the total variation is half of it": 2 * total_variation(distance),
-        "2 Phi(d / 2) - 1: one from twice": torch.special.ndtr(distance / 2),
+        "That is Phi(d / 2); the total variation is 2 Phi(d / 2) - 1": torch.special.ndtr(distance / 2),
     }
     compare("the exact TV", result[0], total_variation(distance), hints)
     hints = {hint: d / 2 for hint, d in wrong.items()}
     hints |= {
         "The root of half the KL, and the KL is half the squared distance": distance / 2**0.5,
         "Both halves are missing: KL / 2, and KL = distance^2 / 2": distance,
-        "Where is the root?": distance.square() / 4,
-        "A bound may be larger than 1: do not cut it off here": (distance / 2).clamp(max=1),
+        "The root is missing: Pinsker's bound is the root of KL / 2": distance.square() / 4,
+        "A bound may be larger than 1: do not clip it": (distance / 2).clamp(max=1),
     }
     compare("Pinsker's bound", result[1], distance / 2, hints)
-    print("Right. In the third row Pinsker's bound is larger than 1, and no total variation is: it says nothing there.")
+    print("Right. In the third row Pinsker's bound is above 1. No total variation is, so it says nothing there.")
 
 
 STEPS = ("Pinsker", "C_1", "C_2", "Lipschitz")

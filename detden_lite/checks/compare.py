@@ -1,13 +1,19 @@
-"""How a student's result differs from what is right, in words that help."""
+"""Compare a student's result with the right one, and name the misunderstanding that explains the difference."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
-def array(call: str, got: Any) -> np.ndarray:
-    """What ``call`` gave as an array; an AssertionError if it gave nothing, or no numbers."""
+def array(call: str, got: object) -> np.ndarray:
+    """The result of ``call`` as an array; an AssertionError if it is nothing, or no numbers.
+
+    Example:
+        >>> array("f(2)", None)
+        Traceback (most recent call last):
+        AssertionError: f(2) gives None: does the function end with `return`?
+    """
     assert got is not None, f"{call} gives None: does the function end with `return`?"
     assert got is not NotImplemented and got is not Ellipsis, f"{call} gives {got!r}: write the missing lines first"
     got = got.detach().cpu() if hasattr(got, "detach") else got
@@ -17,15 +23,22 @@ def array(call: str, got: Any) -> np.ndarray:
         raise AssertionError(f"{call} gives a {type(got).__name__}, not an array of numbers") from None
 
 
-def compare(call: str, got: Any, expected: Any, mistakes: Mapping[str, Any] | None = None, atol: float = 1e-5) -> None:
-    """Raise an AssertionError that says where ``got`` differs from ``expected``, and what may lie behind it.
+def compare(
+    call: str, got: object, expected: ArrayLike, mistakes: Mapping[str, ArrayLike] | None = None, atol: float = 1e-5
+) -> None:
+    """Raise an AssertionError that says where ``got`` differs from ``expected``, and the likely misunderstanding.
 
     Args:
-        call: the call that gave it, as the message shows it.
+        call: the call that gave the result, as the message shows it.
         got: the student's result: numbers, a NumPy array or a tensor.
         expected: the right one.
-        mistakes: what well-known misunderstandings give, each under the hint that leads out of it.
+        mistakes: the results of well-known misunderstandings, each under the hint that corrects it.
         atol: how much numbers may differ.
+
+    Example:
+        >>> compare("double(3)", 9, 6, {"That is the square": 9})
+        Traceback (most recent call last):
+        AssertionError: double(3) is 9; it should be 6. That is the square
     """
     got, expected = array(call, got), np.asarray(expected, dtype=float)
     assert got.shape == expected.shape, f"{call} has the shape {got.shape}; it should have {expected.shape}"

@@ -33,20 +33,18 @@ def check_augment(augment: Callable[[Tensor, Callable[[Tensor], Tensor]], tuple[
         )
     expected = attack(obs.reshape(-1, 2)).reshape(obs.shape)
     assert not (torch.equal(inputs, obs) and torch.allclose(targets, expected)), (
-        "inputs and targets have changed places: the denoiser is shown what is attacked, and asked for what is true"
+        "inputs and targets are swapped: the input is the attacked observation, and the target the true one"
     )
-    assert not torch.allclose(targets, expected), (
-        "the targets are attacked too: the denoiser must be asked for the truth"
-    )
+    assert not torch.allclose(targets, expected), "the targets are attacked too: they must be the true observations"
     assert torch.equal(targets, obs), "the targets should be the clean observations, as they are"
     touched = (inputs != obs).any(-1)
     assert touched.all(), (
         f"{int((~touched).sum())} of {touched.numel()} observations are not attacked; D_adv attacks every one"
     )
     assert torch.allclose(inputs, expected), (
-        "every observation is attacked, but they are not where they belong: undo the reshape in the same order"
+        "every observation is attacked, but their order has changed: undo the reshape as it was made"
     )
-    print("Right: attacked in, clean out, and no robot was moved for it.")
+    print("Right. The inputs are attacked, the targets are clean, and no simulator was needed.")
 
 
 def check_denoiser_loss(loss: Callable[..., Tensor]) -> None:
@@ -68,10 +66,10 @@ def check_denoiser_loss(loss: Callable[..., Tensor]) -> None:
             "the loss is one number: take the mean of the steps' losses"
         )
         mistakes = {
-            "the network is shown the true observation and asked for the perturbed one": value(true, perturbed),
-            "the network is shown the perturbed observation and asked for the same: that is a detector of attacked "
+            "the input is the true observation and the target the perturbed one: swap them": value(true, perturbed),
+            "the input and the target are the perturbed observation: that is a detector of attacked "
             "trajectories, not a denoiser": value(perturbed, perturbed),
-            "the network is shown the true observation and asked for the same: that is a detector": value(true, true),
+            "the input and the target are the true observation: that is a detector": value(true, true),
             "the KL is subtracted: an ELBO subtracts it and is maximised, a loss adds it and is minimised": value(
                 perturbed, true, -beta
             ),
@@ -82,7 +80,7 @@ def check_denoiser_loss(loss: Callable[..., Tensor]) -> None:
             assert not torch.isclose(result, wrong, rtol=1e-5), message
         right = value(perturbed, true)
     assert torch.isclose(result, right, rtol=1e-4), f"the loss should be {right:.4f} here; yours is {result:.4f}"
-    print("Right: shown what is perturbed, asked for what is true.")
+    print("Right. The input is perturbed, the target is true, and the KL is weighted by beta.")
 
 
 def check_replace_on_alarm(replace_on_alarm: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None:
@@ -98,7 +96,7 @@ def check_replace_on_alarm(replace_on_alarm: Callable[[Tensor, Tensor, Tensor], 
     )
     assert not torch.equal(result, torch.where(alarm, denoised, obs)), (
         "an alarm has replaced one DIMENSION of every episode, not every dimension of one EPISODE: "
-        "alarm is [N] and obs [N, obs_dim], so alarm needs an axis more"
+        "alarm is [N] and obs [N, obs_dim], so write alarm[:, None]"
     )
     assert not torch.equal(result, torch.where(alarm[:, None], obs, denoised)), (
         "it is the wrong way round: the denoised observation is for the episodes with an alarm"
@@ -107,7 +105,7 @@ def check_replace_on_alarm(replace_on_alarm: Callable[[Tensor, Tensor, Tensor], 
         f"episode 0 has an alarm: it gets {denoised[0].tolist()}, not {result[0].tolist()}"
     )
     assert torch.equal(result[1:], obs[1:]), "episodes without an alarm keep their observation, bit for bit"
-    print("Right: without an alarm the policy sees exactly what came in.")
+    print("Right. Without an alarm the policy sees the observation unchanged.")
 
 
 def check_mae_attacked(mae: Callable[..., float]) -> None:
@@ -134,4 +132,4 @@ def check_mae_attacked(mae: Callable[..., float]) -> None:
     for message, wrong in mistakes.items():
         assert not np.isclose(result, wrong), f"{message}; it should be {right:.4f}, yours is {result:.4f}"
     assert np.isclose(result, right), f"it should be {right:.4f}; yours is {result:.4f}"
-    print("Right: the paper's table 3 has this number, in the observation's own units.")
+    print("Right. Table 3 of the paper reports this number, in the observations' own units.")

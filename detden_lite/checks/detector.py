@@ -37,7 +37,7 @@ def check_sample_latent(sample_latent: Callable[[Tensor, Tensor, Tensor], Tensor
         f"the gradient of z with respect to the mean should be 1, and yours is {gradient[0, 0]:.0f}: "
         "use plain arithmetic on mean, without detach or no_grad"
     )
-    print("Right: randomness comes in from outside, so gradients flow through the rest.")
+    print("Right. The noise is an argument, so gradients flow through mean and log_variance.")
 
 
 def check_kl(kl: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None:
@@ -70,8 +70,10 @@ def check_kl(kl: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None:
         f"for random means and variances it should be {_numbers(true)}; yours gives {_numbers(result)}"
     )
     free = kl(mean, log_variance, mean)
-    assert (free <= result + 1e-6).all(), "no prior mean can be better than q's own; check the sign of the mean's part"
-    print("Right: with prior_mean = mean, the paper's free prior, mu costs nothing.")
+    assert (free <= result + 1e-6).all(), (
+        "the KL is smallest where prior_mean is mean; check the sign of the part with the means"
+    )
+    print("Right. With prior_mean = mean, the paper's free prior, the means add nothing to the KL.")
 
 
 def check_calibrate(calibrate: Callable[[np.ndarray, float], float]) -> None:
@@ -82,14 +84,17 @@ def check_calibrate(calibrate: Callable[[np.ndarray, float], float]) -> None:
         assert np.ndim(threshold) == 0, f"the threshold is one number; yours has the shape {np.shape(threshold)}"
         above = float((scores > threshold).mean())
         assert not np.isclose(above, 1 - rate, atol=0.005), (
-            f"{above:.1%} of the clean scores exceed your threshold, where {rate:.0%} should: count from the other end"
+            f"{above:.1%} of the clean scores exceed your threshold, where {rate:.0%} should; "
+            "take the quantile at 1 - rate"
         )
-        assert above > 0, "no clean score exceeds your threshold: the largest one is set by a single unlucky step"
+        assert above > 0, (
+            "no clean score exceeds your threshold: the largest one depends on a single step; take a quantile"
+        )
         assert abs(above - rate) <= 0.1 * rate, (
             f"{above:.2%} of the clean scores exceed your threshold for a rate of {rate:.0%}; "
             "take a quantile of the scores themselves, without assuming a distribution"
         )
-    print("Right: a threshold that has seen no attack.")
+    print("Right. The threshold needs clean scores alone.")
 
 
 def check_scores(scores: Callable[[np.ndarray, np.ndarray], tuple[float, float, float]]) -> None:
@@ -113,7 +118,7 @@ def check_scores(scores: Callable[[np.ndarray, np.ndarray], tuple[float, float, 
     assert all(np.size(a) == 1 and np.isclose(a, b) for a, b in zip(grid, result, strict=True)), (
         "the arrays of a rollout are [steps, N]: the counts must run over all entries"
     )
-    print("Right: each score forgets something, so three of them are reported.")
+    print("Right. Each score ignores one kind of error, so three of them are reported.")
 
 
 def _shape(result: object) -> str:

@@ -16,16 +16,14 @@ def check_returns_to_go(returns_to_go: Callable[[np.ndarray, float], np.ndarray]
     if array(call, got).ndim == 0:
         raise AssertionError(f"{call} gives one number; there is a return from each of the 4 steps on")
     mistakes = {
-        "Is the reward of the step itself in it?": [0.25, 0.5, 1.0, 0.0],
+        "The reward of the step itself is missing": [0.25, 0.5, 1.0, 0.0],
         "The discount counts from step t, not from the start of the episode": [1.25, 0.25, 0.25, 0.25],
-        "Where does gamma come in?": [3.0, 2.0, 2.0, 2.0],
+        "gamma is missing: later rewards count less": [3.0, 2.0, 2.0, 2.0],
         "This sums what came before the step; a return sums what comes after it": [1.0, 1.0, 1.0, 1.25],
-        "The order is turned round: the first entry belongs to the first step": [2.0, 1.0, 0.5, 1.25],
+        "The order is reversed: the first entry belongs to the first step": [2.0, 1.0, 0.5, 1.25],
     }
     compare(call, got, [1.25, 0.5, 1.0, 2.0], mistakes)
-    assert np.array_equal(reward, kept), (
-        "returns_to_go changes the rewards that it is given; work on an array of its own"
-    )
+    assert np.array_equal(reward, kept), "returns_to_go changes the rewards that it is given; work on a copy"
     reward = np.random.default_rng(0).normal(size=40)
     for gamma in (0.0, 0.9, 1.0):
         ahead = np.arange(40) - np.arange(40)[:, None]
@@ -45,8 +43,8 @@ def check_returns_and_lengths(
     assert pair, "returns_and_lengths should give two arrays: the returns and the lengths"
     returns_hints = {
         "The step that ends an episode still earns its reward": [1.0, 100.0, 0.0],
-        "Dead worlds go on earning here; leave out what came after the end": reward.sum(0),
-        "Worlds end one by one: do not stop all of them with the first": [1.0, 10.0, 100.0],
+        "Rewards after an episode's end are counted; leave them out": reward.sum(0),
+        "Episodes end one by one: do not stop all of them with the first": [1.0, 10.0, 100.0],
     }
     lengths_hints = {
         "The step that ends an episode is one of its steps": [1, 4, 0],
@@ -54,7 +52,7 @@ def check_returns_and_lengths(
     }
     compare("returns", result[0], [3.0, 100.0, 100.0], returns_hints)
     compare("lengths", result[1], [2, 4, 1], lengths_hints)
-    print("Right. One array operation for all episodes, and no episode knows of another.")
+    print("Right. One array operation serves all episodes, and none of them affects another.")
 
 
 def check_choose(
@@ -68,19 +66,19 @@ def check_choose(
     assert isinstance(result, tuple | list) and len(result) == 2, "choose should give two things: an index and a mean"
     index = int(array("the index that choose gives", result[0]))
     hints = {
-        0: "It was not among the 3 best of the screening, so it never came into the selection",
-        2: "Is that a place in the short list, or the snapshot's own index?",
+        0: "It is not among the 3 best of the screening, so the selection does not look at it",
+        2: "That is its place in the short list; give the snapshot's own index",
         3: "The best has the highest mean, not the lowest",
-        4: "That is the screening's favourite; the selection episodes are there to decide among the 3",
-        5: "That one is best in the report, but whoever looks there to choose has nothing fresh left to report",
+        4: "That is the best of the screening; the selection episodes decide among the 3",
+        5: "That one is best in the report, and episodes that are used to choose cannot be used to report",
     }
     assert index == 1, f"choose takes snapshot {index}, and not the right one. {hints.get(index, 'There are only six')}"
     mistakes = {
-        "That is the score it was chosen by, which flatters the winner; report on episodes it was not chosen by": 3_250,
-        "That is its screening score, of the fewest episodes of all": 3_100,
+        "That is the score it was chosen by, which is biased upwards; take its mean on the report's episodes": 3_250,
+        "That is its screening score; take its mean on the report's episodes": 3_100,
     }
     compare("the mean to report", result[1], 3_120, mistakes)
-    print("Right. What chose the snapshot is not what is said about it.")
+    print("Right. The snapshot is reported on other episodes than it was chosen on.")
 
 
 def check_interval(interval: Callable[[np.ndarray, np.random.Generator, int], tuple[float, float]]) -> None:
@@ -92,7 +90,7 @@ def check_interval(interval: Callable[[np.ndarray, np.random.Generator, int], tu
         "interval should give two numbers: low, high"
     )
     low, high = (float(array("interval(values, rng, 2000)", bound)) for bound in result)
-    assert low <= high, f"low is {low:.6g} and high is {high:.6g}: they have changed places"
+    assert low <= high, f"low is {low:.6g} and high is {high:.6g}: they are swapped"
     width, right = high - low, 2 * 1.96 * values.std() / np.sqrt(len(values))
     shown = f"For 100 values with a standard deviation of {values.std():.0f} the interval is {width:.3g} wide"
     assert width > 0.05 * right, f"{shown}. Are the values drawn with replacement? Without, every mean is the same"

@@ -22,7 +22,7 @@ def check_r_ppo(r_ppo: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None:
         "Sigma is missing: that is the plain squared distance": moved.square().sum(-1),
         "Sigma holds VARIANCES, std squared: weigh the squares by 1 / std^2": (moved.square() / std).sum(-1),
         "Divide by the variance once: (x / std) squared, or x squared / std^2": (moved / std.square()).square().sum(-1),
-        "It is Sigma^-1: a quiet action, with a small std, counts more and not less": (moved * std).square().sum(-1),
+        "It is Sigma^-1: an action with a small std counts more, not less": (moved * std).square().sum(-1),
         "R_ppo is the squared distance, without a root (R_td3 has one)": (moved / std).norm(dim=-1),
         "That is the KL divergence; R_ppo is twice as large": (moved / std).square().sum(-1) / 2,
         "Sum over the actions; that is their mean": (moved / std).square().mean(-1),
@@ -35,7 +35,7 @@ def check_r_ppo(r_ppo: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None:
 
 
 def check_training_loss(training_loss: Callable[..., Tensor]) -> None:
-    """``training_loss(model, regularizer, true, perturbed, mask, noise, beta, lam)`` is what Adam makes small.
+    """``training_loss(model, regularizer, true, perturbed, mask, noise, beta, lam)`` is the loss that Adam minimises.
 
     beta (-L_den) + lam R, both as means over what is not padding; R is of the true sequences with the same noise.
     """
@@ -62,22 +62,22 @@ def check_training_loss(training_loss: Callable[..., Tensor]) -> None:
 
     all_steps, error = torch.ones(2, 6), elbo_part(perturbed, true)
     mistakes = {
-        "R is subtracted: minimising this makes R LARGE. It is to be small, so it is added": error - lam * r(true),
+        "R is subtracted: minimising this makes R LARGE. It must become small, so add it": error - lam * r(true),
         "L_den has the printed sign: it is an ELBO, and minimising it makes the denoiser worse": -error + lam * r(true),
         "That is minus what should be minimised": -error - lam * r(true),
         "lam is missing before R": error + r(true),
         "R is missing": error,
         "lam weighs the ELBO; it should weigh R": lam * error + r(true),
-        "R is given what is attacked already. It attacks by itself, and begins at the true sequences": (
+        "R is given perturbed, which is attacked already. It makes its own attack, so give it true": (
             error + lam * r(perturbed)
         ),
         "R is of the latent's mean here; give it the same noise": error + lam * r(true, z=None),
         "steps after an episode's end are counted in R": error + lam * r(true, all_steps),
         "steps after an episode's end are counted in the error": elbo_part(perturbed, true, all_steps) + lam * r(true),
-        "the denoiser is shown the truth and asked for the attacked": elbo_part(true, perturbed) + lam * r(true),
-        "the denoiser is shown the truth; it should see what is perturbed": elbo_part(true, true) + lam * r(true),
+        "the input is true and the target perturbed: swap them": elbo_part(true, perturbed) + lam * r(true),
+        "the input is true, and must be perturbed": elbo_part(true, true) + lam * r(true),
         "beta is missing before the KL": elbo_part(perturbed, true, weight=1.0) + lam * r(true),
-        "the KL is subtracted; it is small when it is good": elbo_part(perturbed, true, weight=-beta) + lam * r(true),
+        "the KL is subtracted; it must become small": elbo_part(perturbed, true, weight=-beta) + lam * r(true),
         "reconstruction_loss has beta in it already; beta weighs the KL alone": (
             beta * elbo_part(perturbed, true, weight=1.0) + lam * r(true)
         ),
@@ -95,7 +95,7 @@ def check_training_loss(training_loss: Callable[..., Tensor]) -> None:
     )
     torch.manual_seed(1)
     compare("with lam = 0 it", training_loss(model, regularizer, true, perturbed, mask, noise, beta, 0.0), error)
-    print("Right. Both terms are small when they are good, so both are added, and lam = 0 is chapter 4's denoiser.")
+    print("Right. Both terms must become small, so both are added; with lam = 0 this is chapter 4's loss.")
 
 
 def check_survives(survives: Callable[[Tensor, Tensor], Tensor]) -> None:
@@ -121,12 +121,10 @@ def check_survives(survives: Callable[[Tensor, Tensor], Tensor]) -> None:
             "Divide by how much pi(o) itself varies: the squared distance from its mean, not from 0": (
                 1 - wrong / action.square().sum()
             ),
-            "The mean is that of each action by itself, over the observations: mean(0)": (
+            "Each action has its own mean over the observations: mean(0)": (
                 1 - wrong / (action - action.mean()).square().sum()
             ),
-            "Shrinking is no survival: compare the two actions, not how much each of them varies": (
-                spread / total(action)
-            ),
+            "Compare denoised with true actions, not how much each of them varies": (spread / total(action)),
             "Divide by how much the TRUE actions vary, not the denoised ones": 1 - wrong / spread,
             "var divides by n - 1; take unbiased=False, or the mean of squares": (
                 1 - (other - action).square().mean(0).sum() / action.var(0).sum()
@@ -136,4 +134,4 @@ def check_survives(survives: Callable[[Tensor, Tensor], Tensor]) -> None:
         compare(f"survives for {name}", survives(action, other), expected, mistakes)
     constant = survives(action, torch.full_like(action, 3.0))
     assert constant < 0, "a constant far from the mean is worse than the mean: the share is negative, do not clip it"
-    print("Right. 1: as without a denoiser. 0: as with closed eyes.")
+    print("Right. 1 means that the actions are unchanged, 0 that they are no better than a constant action.")

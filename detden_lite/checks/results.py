@@ -1,4 +1,4 @@
-"""Checks of the chapter that puts the defence on trial."""
+"""Checks of the chapter on the results of the defence."""
 
 from collections.abc import Callable
 
@@ -11,7 +11,7 @@ from detden_lite.core.metrics import detector_scores
 
 
 def check_kept_share(kept_share: Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[float, float, float]]) -> None:
-    """``kept_share(defended, clean, drawn)`` is the part that is kept and both ends of its paired interval."""
+    """``kept_share(defended, clean, drawn)`` is the share that is kept and both ends of its paired interval."""
     rng = np.random.default_rng(0)
     clean = rng.uniform(100, 1_000, 40)
     defended = 0.8 * clean + rng.normal(0, 20, 40)
@@ -26,34 +26,37 @@ def check_kept_share(kept_share: Callable[[np.ndarray, np.ndarray, np.ndarray], 
     right = ends(ratios)
     given = kept_share(defended, clean, drawn)
     assert not isinstance(given, tuple) or [np.ndim(part) for part in given] == [0, 0, 0], (
-        "kept_share(defended, clean, drawn) gives three numbers: the part, the lower end, the upper end"
+        "kept_share(defended, clean, drawn) gives three numbers: the share, the lower end, the upper end"
     )
     mistakes = {
         "That is the mean of the episodes' ratios; it should be the ratio of the two means": (
             quotients.mean(),
             *np.quantile(quotients[drawn].mean(1), [0.025, 0.975]),
         ),
-        "The drawn episodes' ratios are averaged; it should be the ratio of the drawn episodes' means": ends(
+        "That averages ratios of episodes in each resample; take the ratio of the two resampled means": ends(
             quotients[drawn].mean(1)
         ),
-        "The clean mean stays as it is in every draw: draw its episodes as well, and the same ones": ends(alone),
-        "That is 90 % of the draws: leave 2.5 % on either side": ends(ratios, 0.05),
-        "Those are the smallest and the largest draw: leave 2.5 % on either side": ends(ratios, 0),
-        "The first number is the mean of the draws; it should be of the episodes": (ratios.mean(), *right[1:]),
-        "Average over the episodes of a draw, its last axis, not over the draws": ends(
+        "The clean mean is the same in every resample: use the drawn episodes of clean too": ends(alone),
+        "That interval holds 90 % of the resamples: leave 2.5 % on either side": ends(ratios, 0.05),
+        "Those are the smallest and the largest resample: leave 2.5 % on either side": ends(ratios, 0),
+        "The first number is the mean of the resamples; take the ratio of the episodes' means": (
+            ratios.mean(),
+            *right[1:],
+        ),
+        "Average over the episodes of a resample, its last axis, not over the resamples": ends(
             defended[drawn].mean(0) / clean[drawn].mean(0)
         ),
     }
     compare("kept_share(defended, clean, drawn)", given, right, mistakes, atol=1e-9)
     wide = np.ptp(defended[drawn].mean(1) / clean[np.roll(drawn, 1, 0)].mean(1))
     print(
-        f"Right. These returns rise and fall together, so that pairing pays: drawn apart, the ratios spread over "
-        f"{wide:.2f}, drawn together over {np.ptp(ratios):.2f}."
+        f"Right. These returns rise and fall together, so pairing pays: resampled separately, the ratios range over "
+        f"{wide:.2f}, resampled together over {np.ptp(ratios):.2f}."
     )
 
 
 def check_worst_elsewhere(worst_elsewhere: Callable[[np.ndarray, np.ndarray], float]) -> None:
-    """``worst_elsewhere(chosen_on, reported_on)``: attacks in the rows, other episodes in either's columns."""
+    """``worst_elsewhere(chosen_on, reported_on)``: attacks in the rows; the columns are different episodes."""
     chosen_on = np.array(
         [[7, 9, 8, 7, 5], [10, 12, 11, 10, 2], [6, 6, 6, 6, 5], [20, 20, 20, 20, 4], [9, 9, 8, 9, 6.0]]
     )
@@ -73,7 +76,7 @@ def check_worst_elsewhere(worst_elsewhere: Callable[[np.ndarray, np.ndarray], fl
     compare(call, worst_elsewhere(chosen_on, reported_on), right, mistakes, atol=1e-9)
     print(
         f"Right. It left {chosen_on[worst].mean():.2f} where it was chosen and leaves {right:.2f} elsewhere: some of "
-        "its strength was the luck of those episodes."
+        "its strength was chance."
     )
 
 
@@ -88,13 +91,13 @@ def check_f1(f1: Callable[[float, float, float], float]) -> None:
         hit = rate * (1 - misses)
         raised = hit + (1 - rate) * alarms
         mistakes = {
-            "The false alarms are a part of the CLEAN steps: weigh them by 1 - rate": (
+            "The false alarms are a share of the CLEAN steps: weigh them by 1 - rate": (
                 2 * hit / (2 * hit + rate * misses + alarms)
             ),
-            "The misses are a part of the ATTACKED steps: weigh them by the rate": (
+            "The misses are a share of the ATTACKED steps: weigh them by the rate": (
                 2 * hit / (2 * hit + misses + (1 - rate) * alarms)
             ),
-            "The rate is not in it: of all steps, which part is attacked and found?": (
+            "rate is missing: the share of all steps that are attacked and found is rate (1 - misses)": (
                 2 * (1 - misses) / (2 * (1 - misses) + misses + alarms)
             ),
             "That is the mean of precision and recall; F1 is their harmonic mean": (
@@ -103,13 +106,16 @@ def check_f1(f1: Callable[[float, float, float], float]) -> None:
             "That is the product of precision and recall; F1 is their harmonic mean": (
                 (hit / raised if raised else 0) * (1 - misses)
             ),
-            "That is the precision: the part of the alarms that are right": hit / raised if raised else 0,
-            "That is the recall: the part of the attacked steps that are found": 1 - misses,
+            "That is the precision: the share of the alarms that are right": hit / raised if raised else 0,
+            "That is the recall: the share of the attacked steps that are found": 1 - misses,
             "That is the accuracy": hit + (1 - rate) * (1 - alarms),
-            "Hits count twice, above and below": hit / (hit + rate * misses + (1 - rate) * alarms),
+            "Count the hits twice, in the numerator and in the denominator": hit
+            / (hit + rate * misses + (1 - rate) * alarms),
         }
         call = f"f1({rate:g}, {misses:g}, {alarms:g})"
-        compare(call, f1(rate, misses, alarms), detector_scores(truth, alarm).f1, mistakes, atol=1e-9)
+        counted = detector_scores(truth, alarm).f1
+        assert counted is not None  # some steps are attacked
+        compare(call, f1(rate, misses, alarms), counted, mistakes, atol=1e-9)
     print(
         f"Right. A detector that always raises the alarm has {f1(0.99, 0, 1):.3f} if 99 % of the steps are attacked. "
         f"One that errs in 1 % of either kind has {f1(0.01, 0.01, 0.01):.2f} if 1 % are."
@@ -158,4 +164,4 @@ def check_felt(felt: Callable[[Callable[[Tensor], Tensor], Tensor, Tensor], Tens
     result = array("felt(policy, obs, denoised)", felt(policy, given, denoised))
     assert torch.equal(given, obs), "obs itself was changed; work on a copy of it: obs.clone()"
     compare("felt(policy, obs, denoised)", result, right, mistakes)
-    print("Right. What the mean over all numbers hides, this shows number by number.")
+    print("Right. It shows number by number what a mean over all numbers hides.")

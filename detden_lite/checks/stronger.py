@@ -1,4 +1,4 @@
-"""Checks of the chapter on attacks that know what hurts."""
+"""Checks of the chapter on stronger attacks."""
 
 from collections.abc import Callable
 
@@ -10,29 +10,29 @@ from detden_lite.checks.compare import array, compare
 
 
 def check_q_objective(q_objective: Callable[[Callable, Callable, Tensor, Tensor], Tensor]) -> None:
-    """``q_objective(policy, q, obs, perturbed)`` is what the Q-function attack makes as large as it can, ``[N]``."""
+    """``q_objective(policy, q, obs, perturbed)`` is what the Q-function attack maximises, ``[N]``."""
 
     def policy(obs: Tensor) -> Tensor:
         return 2 * obs[:, :1]
 
     def q(obs: Tensor, action: Tensor) -> Tensor:
         assert action.shape == (len(obs), 1), (
-            f"q is asked about an action of shape {tuple(action.shape)}: what does the policy do?"
+            f"q was given an action of shape {tuple(action.shape)}; give it the policy's action, policy(...)"
         )
         return 10 * obs[:, 1] + obs[:, 0] * action[:, 0]
 
     obs = torch.tensor([[1.0, 2.0], [-1.0, 1.0]])
     perturbed = torch.tensor([[1.5, 1.0], [-0.5, 3.0]], requires_grad=True)
     mistakes = {
-        "Q is asked about an observation that is not true. The world is what it is, whatever the policy is shown": (
+        "Q must be given obs: the state of the world does not depend on what the policy is shown": (
             -q(perturbed, policy(perturbed))
         ),
-        "This is large where the victim does well: mind the sign": q(obs, policy(perturbed)),
-        "The two observations have changed places: the policy is shown the false one, Q the true one": (
+        "This is large where the victim does well: change the sign": q(obs, policy(perturbed)),
+        "The two observations are swapped: the policy is given perturbed, and Q is given obs": (
             -q(perturbed, policy(obs))
         ),
-        "The perturbed observation is not in it, so the attacker can change nothing": -q(obs, policy(obs)),
-        "That is how much Q loses, which has the same maximiser; asked for is -Q itself": (
+        "perturbed is not used, so the attacker can change nothing": -q(obs, policy(obs)),
+        "That is how much Q loses. It has the same maximiser, but the exercise asks for -Q itself": (
             q(obs, policy(obs)) - q(obs, policy(perturbed))
         ),
     }
@@ -45,7 +45,7 @@ def check_q_objective(q_objective: Callable[[Callable, Callable, Tensor, Tensor]
     )
     (gradient,) = torch.autograd.grad(got.sum(), perturbed)
     compare("its gradient with respect to perturbed", gradient, [[-2.0, 0.0], [2.0, 0.0]])
-    print("Right. The gradient runs through the policy alone, and Q is asked about the world as it is.")
+    print("Right. The gradient flows through the policy alone, and Q is given the true observation.")
 
 
 def check_refit(refit: Callable[[np.ndarray, np.ndarray, int], np.ndarray]) -> None:
@@ -59,18 +59,18 @@ def check_refit(refit: Callable[[np.ndarray, np.ndarray, int], np.ndarray]) -> N
     best, falling = plans[order[:3]], np.array([3.0, 2.0, 1.0])
     released = np.array([0.0, 1.0, 2.0])
     mistakes = {
-        "The best elite has the weight 0 and the last the largest: count from the other end": (
+        "The best elite has the weight 0 and the last the largest: reverse the weights": (
             released / released.sum() @ best
         ),
         "The last elite weighs 0; it should weigh 1": released[::-1] / released.sum() @ best,
         "The last elite weighs most: the best one should": falling[::-1] / 6 @ best,
-        "These are the plans with the LARGEST returns; whoever attacks wants small ones": (
+        "These are the plans with the LARGEST returns; the attacker wants small ones": (
             falling / 6 @ plans[order[::-1][:3]]
         ),
         "All elites weigh the same here": best.mean(0),
         "The weights must sum to 1": falling @ best,
-        "The weights are given to the plans as they came, not as they rank": falling / 6 @ plans[:3],
-        "That is the best plan alone; a mean of elites is less at the mercy of luck": best[0],
+        "The weights are given to the first plans; sort the plans by their returns before": falling / 6 @ plans[:3],
+        "That is the best plan alone; the mean of the elites depends less on chance": best[0],
     }
     compare("refit(plans, returns, 3)", refit(plans.copy(), returns.copy(), 3), [-4 / 3, 6.0], mistakes)
     generator = np.random.default_rng(0)
@@ -78,7 +78,7 @@ def check_refit(refit: Callable[[np.ndarray, np.ndarray, int], np.ndarray]) -> N
     weights = np.arange(8, 0, -1) / 36
     expected = np.tensordot(weights, plans[returns.argsort()[:8]], 1)
     compare("refit of 40 random plans of 15 steps of 3 actions", refit(plans, returns, 8), expected)
-    print("Right. The search moves towards what hurts most.")
+    print("Right. The mean moves towards the plans with the smallest returns.")
 
 
 def check_adversary_step(adversary_step: Callable[..., Tensor]) -> None:
@@ -105,27 +105,27 @@ def check_adversary_step(adversary_step: Callable[..., Tensor]) -> None:
 
     right = reward(epsilon * output.clamp(-1, 1))
     mistakes = {
-        "The adversary is paid what the robot loses: mind the sign": -right,
+        "The adversary's reward is minus the robot's: change the sign": -right,
         "The output may be of any size: clip it to [-1, 1] before it is multiplied by epsilon": reward(
             epsilon * output
         ),
-        "Clip the output first, and multiply then: the other way round the ball has radius 1": (
+        "Clip the output first and multiply it then: in the other order the ball has radius 1": (
             reward((epsilon * output).clamp(-1, 1))
         ),
-        "That clips to the ball what should be stretched to it: the output is in units of epsilon": (
+        "The output is in units of epsilon: clip it to [-1, 1], and multiply it by epsilon": (
             reward(output.clamp(-epsilon, epsilon))
         ),
         "tanh never reaches the border, where the best points are; clip instead": reward(epsilon * output.tanh()),
-        "Where he does not strike, the policy is shown the truth": (
+        "Where struck is False, the policy is shown obs": (
             reward(epsilon * output.clamp(-1, 1), torch.ones(3, dtype=torch.bool))
         ),
-        "The policy is shown the true observation: nobody is attacked": reward(0 * output),
+        "The policy is always shown obs: nothing is attacked": reward(0 * output),
         "The perturbation is added to the observation, it does not replace it": (
             -10 * torch.where(struck[:, None], epsilon * output.clamp(-1, 1), obs).sum(-1)
         ),
-        "He strikes in the steps that he should leave alone": reward(epsilon * output.clamp(-1, 1), ~struck),
+        "struck is inverted: the perturbation belongs where it is True": reward(epsilon * output.clamp(-1, 1), ~struck),
     }
     call = "adversary_step(output, obs, struck, policy, world, 0.1)"
     compare(call, adversary_step(output.clone(), obs.clone(), struck, policy, world, epsilon), right, mistakes)
     assert len(seen) == 1, f"the policy was asked {len(seen)} times: in a step it acts once"
-    print("Right. To a learner this is an environment like any other: its actions are perturbations.")
+    print("Right. To a learner this is an ordinary environment, whose actions are perturbations.")

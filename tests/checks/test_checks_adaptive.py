@@ -39,11 +39,11 @@ def test_other_ways_to_say_the_same_pass():
 @pytest.mark.parametrize(
     ("mistake", "says"),
     [
-        (lambda *given: -hidden(*given), "rings the alarm"),
+        (lambda *given: -hidden(*given), "raises the alarm"),
         (lambda det, o, x, s: ((det(x) - o) / s).abs().amax(-1), "appendix B"),
         (lambda det, o, x, s: -((det(x) - o) / s).abs().amax(-1), "distance is from obs"),
         (lambda det, o, x, s: -((x - det(o)) / s).abs().amax(-1), "shown perturbed, and not obs"),
-        (lambda det, o, x, s: hidden(det, o, o, s), "score of the truth"),
+        (lambda det, o, x, s: hidden(det, o, o, s), "score of the true"),
         (lambda det, o, x, s: hidden(det, o, x, 1.0), "Divide by scale: "),
         (lambda det, o, x, s: hidden(det, o, x, 1 / s), "do not multiply"),
         (lambda det, o, x, s: -((x - det(x)) / s).abs().mean(-1), "that is the mean"),
@@ -83,9 +83,9 @@ def test_a_wrong_expectation_is_told(mistake, says):
 @pytest.mark.parametrize(
     ("mistake", "says"),
     [
-        (lambda defense, x: x, "what went in"),
+        (lambda defense, x: x, "perturbed itself"),
         (lambda defense, x: (defense(x) - x).detach(), "only what the defence changes"),
-        (lambda defense, x: x + defense(x).detach(), "one too many"),
+        (lambda defense, x: x + defense(x).detach(), "once too often"),
         (lambda defense, x: defense(x), "gradient the defence's own"),
         (lambda defense, x: defense(x) + x - x.detach(), "is added to it"),
         (lambda defense, x: defense(x).detach(), "no gradient"),

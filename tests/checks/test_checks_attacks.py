@@ -21,10 +21,10 @@ class TestProject:
         [
             (lambda o, p, e: o + e * (p - o) / length(p - o).clamp_min(1e-9), "inside the ball stays"),
             (lambda o, p, e: o + (p - o).clamp(-e, e), "l-infinity"),
-            (lambda o, p, e: (p - o) * (e / length(p - o).clamp_min(1e-9)).clamp(max=1), "centre added"),
+            (lambda o, p, e: (p - o) * (e / length(p - o).clamp_min(1e-9)).clamp(max=1), "centre is missing"),
             (lambda o, p, e: o + (p - o) * min(e / (p - o).norm(), 1), "length of its own"),
             (lambda o, p, e: o + (p - o) * (e / length(p - o)), "NaN"),
-            (lambda o, p, e: p, "come to the border"),
+            (lambda o, p, e: p, "move to the border"),
         ],
         ids=["always to the border", "clipped", "no centre", "one length for all", "0/0", "unchanged"],
     )
@@ -42,8 +42,8 @@ class TestOpposite:
         [
             (lambda m, s, std: ((s - m) * std).square().sum(-1), "counts less"),
             (lambda m, s, std: ((s - m).square() / std).sum(-1), "variances"),
-            (lambda m, s, std: (s - m).square().sum(-1), "Where does Sigma"),
-            (lambda m, s, std: ((s - m) / std).norm(dim=-1), "root of it"),
+            (lambda m, s, std: (s - m).square().sum(-1), "Sigma is missing"),
+            (lambda m, s, std: ((s - m) / std).norm(dim=-1), "square root of l_op"),
             (lambda m, s, std: ((s - m) / std).square().mean(-1), "do not average"),
             (lambda m, s, std: ((s - m) / std).square().sum(), "one number for both"),
         ],
@@ -75,7 +75,7 @@ class TestFgsm:
         [
             (lambda k, o, d, e: o + d + e * (d @ k.T @ k).sign(), "may leave it"),
             (lambda k, o, d, e: o + e * ((o - o) @ k.T @ k).sign(), "gradient is zero"),
-            (lambda k, o, d, e: o + (d - e * (d @ k.T @ k).sign()).clamp(-e, e), "downhill"),
+            (lambda k, o, d, e: o + (d - e * (d @ k.T @ k).sign()).clamp(-e, e), "gradient descent"),
             (lambda k, o, d, e: o + (d + e * 2 * d @ k.T @ k).clamp(-e, e), "sign that counts"),
             (lambda k, o, d, e: (d + e * (d @ k.T @ k).sign()).clamp(-e, e), "centre of the ball"),
             (lambda k, o, d, e: o + (d + e * (o @ k.T @ k).sign()).clamp(-e, e), "how far the action moves"),
@@ -97,8 +97,8 @@ class TestVulnerable:
         [
             (lambda policy, q, o, c: q(o, policy(o)) > c, "not above"),
             (lambda policy, q, o, c: q(o, policy(o)) <= c, "at the threshold itself"),
-            (lambda policy, q, o, c: q(o, torch.zeros(len(o), 1)) < c, "is the action the policy's"),
-            (lambda policy, q, o, c: q(o, o) < c, "what does the policy do"),
+            (lambda policy, q, o, c: q(o, torch.zeros(len(o), 1)) < c, "the action must be the policy's"),
+            (lambda policy, q, o, c: q(o, o) < c, "give it the policy's action"),
             (lambda policy, q, o, c: (q(o, policy(o)).mean() < c).expand(len(o)), "do not average"),
             (lambda policy, q, o, c: (q(o, policy(o)) < c).float(), "True or False"),
         ],

@@ -56,7 +56,7 @@ def test_another_counterexample_passes_too():
         (lambda gamma: counterexample(gamma, policy=CONSTANT[:, :1]), r"the shape \(2, 1\)"),
         (lambda gamma: counterexample(gamma, policy=np.ones((2, 2))), "its sum is 1"),
         (lambda gamma: counterexample(gamma, policy=np.eye(2)), "not constant"),
-        (lambda gamma: counterexample(gamma, pays=(1.0, 1.0)), "every state is worth 2"),
+        (lambda gamma: counterexample(gamma, pays=(1.0, 1.0)), "every state has the value 2"),
         (lambda gamma: (counterexample(gamma)[0], None), "gives None"),
     ],
 )
@@ -77,7 +77,7 @@ def _changed(exact=lambda d: torch.erf(d / 8**0.5), pinsker=lambda d: d / 2):
     ("mistake", "says"),
     [
         (lambda m, n, s: exact_and_pinsker(m, n, s)[0], "two things"),
-        (_with_distance(lambda moved, s: moved.norm(dim=-1)), "divided by the standard"),
+        (_with_distance(lambda moved, s: moved.norm(dim=-1)), "by the standard deviations"),
         (_with_distance(lambda moved, s: (moved / s**2).norm(dim=-1)), "not by the variance"),
         (_with_distance(lambda moved, s: (moved / s).abs().sum(-1)), "take the root"),
         (_with_distance(lambda moved, s: (moved / s).sum(-1).abs()), "inside the root"),
@@ -85,11 +85,11 @@ def _changed(exact=lambda d: torch.erf(d / 8**0.5), pinsker=lambda d: d / 2):
         (_changed(exact=lambda d: 2 * torch.special.ndtr(d) - 1), "HALF"),
         (_changed(exact=lambda d: torch.erf(d / 2)), "root of two"),
         (_changed(exact=lambda d: 2 * torch.erf(d / 8**0.5)), "whole l1"),
-        (_changed(exact=lambda d: torch.special.ndtr(d / 2)), "one from twice"),
+        (_changed(exact=lambda d: torch.special.ndtr(d / 2)), r"That is Phi\(d / 2\)"),
         (_changed(pinsker=lambda d: d / 2**0.5), "root of half the KL"),
         (_changed(pinsker=lambda d: d), "Both halves"),
-        (_changed(pinsker=lambda d: d**2 / 4), "Where is the root"),
-        (_changed(pinsker=lambda d: (d / 2).clamp(max=1)), "cut it off"),
+        (_changed(pinsker=lambda d: d**2 / 4), "root is missing"),
+        (_changed(pinsker=lambda d: (d / 2).clamp(max=1)), "do not clip it"),
     ],
 )
 def test_a_wrong_total_variation_is_told(mistake, says):

@@ -67,7 +67,7 @@ def _by_columns(attacked, alarm):
         (checks.check_kl, lambda m, v, p: kl(m, 2 * v, p), "sigma.2 = 4"),
         (checks.check_kl, lambda m, v, p: kl(m, v, p).mean(), "5 numbers"),
         (checks.check_kl, lambda m, v, p: kl(m, v, p) / 4, "is 8"),
-        (checks.check_calibrate, lambda s, r: np.quantile(s, r), "other end"),
+        (checks.check_calibrate, lambda s, r: np.quantile(s, r), "quantile at 1 - rate"),
         (checks.check_calibrate, lambda s, r: s.max(), "largest"),
         (checks.check_calibrate, lambda s, r: s.mean() + 2.33 * s.std(), "without assuming"),
         (checks.check_calibrate, lambda s, r: np.quantile(s, [1 - r]), "one number"),
