@@ -1,4 +1,4 @@
-"""How long each stage of the recipe takes: from what Snakemake measured in a run, into one record that is shipped.
+"""How long each stage of the recipe takes: measured by Snakemake in a run, and stored in one record that is shipped.
 
 ``python book/tools/durations.py [--root runs/lite --store] [--trainings]`` prints the record, or measures it first.
 """
@@ -9,6 +9,7 @@ import math
 import os
 import platform
 import tempfile
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,7 +54,7 @@ def measure(root: Path) -> dict:
 
 
 def training_speed(task: Task, recipe: TD3Recipe | PPORecipe) -> float:
-    """Steps that a victim's training makes in a second of wall-clock time, once it is under way, on this machine."""
+    """Steps that a victim's training makes in a second of wall-clock time, after its start, on this machine."""
     segment = 2_000 if isinstance(recipe, TD3Recipe) else 4 * recipe.envs * recipe.rollout
     short = replace(recipe, steps=3 * segment, segment=segment)
     if isinstance(short, TD3Recipe):
@@ -64,8 +65,10 @@ def training_speed(task: Task, recipe: TD3Recipe | PPORecipe) -> float:
     return segment / (end - begin)
 
 
-def measure_trainings(victims=VICTIMS) -> dict:
-    """By row what a victim's training takes: its steps, and the steps that it makes in a second.
+def measure_trainings(
+    victims: Mapping[tuple[str, str], TD3Recipe | PPORecipe] = VICTIMS,
+) -> dict[str, dict[str, float]]:
+    """By row the steps of a victim's training, and the steps that it makes in a second.
 
     Args:
         victims: recipes, by task and algorithm.
@@ -77,9 +80,9 @@ def measure_trainings(victims=VICTIMS) -> dict:
 
 
 def show(root: Path, store: bool = False, trainings: bool = False, data: Path = manifest.DATA) -> None:
-    """Print the stored record as tables; before that, if asked to, measure and store what was found.
+    """Print the stored record as tables; if asked to, measure and store it first.
 
-    A stage of a row that the run has takes the place of what was stored of it; what it has not is kept.
+    New measurements replace those of the same stage and row; all others stay.
 
     Args:
         root: of the run that is measured.
@@ -121,7 +124,7 @@ def table(record: dict) -> list[list[str]]:
 
 
 def clock(seconds: float | None) -> str:
-    """A duration as one reads it: "42 s", "7 min", "3.5 h"; "–" for None."""
+    """A duration in words: "42 s", "7 min", "3.5 h"; "–" for None."""
     if seconds is None:
         return "–"
     if seconds < 60:
@@ -135,7 +138,7 @@ def _merged(record: dict, stored: dict) -> dict:
 
 
 def _number(text: str) -> float:
-    """What was not measured, in a job too short for it, is written "NA" or "-"."""
+    """A measured number; 0 for "NA" or "-", which stand for a job that was too short to be measured."""
     try:
         value = float(text)
     except ValueError:

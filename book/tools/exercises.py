@@ -24,7 +24,7 @@ def title(source: str) -> str:
 
 
 def stub(source: str) -> str:
-    """The code of an exercise with ``raise NotImplementedError(title)`` in the place of its solution.
+    """The code of an exercise with ``raise NotImplementedError(title)`` instead of its solution.
 
     Raises:
         ValueError: if there is not exactly one solution between the markers, inside a function.
@@ -45,7 +45,7 @@ class ShowStubFoldSolution(SphinxPostTransform):
     default_priority = 198  # just before myst-nb folds what has a hide_mode
     formats = ("html",)
 
-    def run(self, **kwargs) -> None:
+    def run(self, **kwargs: object) -> None:
         for cell in list(self.document.findall(nodes.container)):
             if "tag_exercise" in cell["classes"]:
                 code = next(cell.findall(nodes.literal_block))

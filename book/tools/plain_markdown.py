@@ -4,13 +4,16 @@ Figures and labelled equations get the numbers that the built book gives them: c
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
 from posixpath import normpath
+from typing import TypeVar
 
 from pybtex.database import parse_file
+
+Found = TypeVar("Found")
 
 _FENCE = re.compile(r"(?P<fence>`{3,}|:{3,})(?:\{(?P<name>[\w-]+)\})?[ \t]*(?P<argument>.*)")
 _OPTION = re.compile(r":([\w-]+):[ \t]*(.*)")
@@ -57,7 +60,7 @@ def read_citations(bibliography: Path) -> dict[str, tuple[str, str]]:
     return citations
 
 
-def blocks(lines: list[str]):
+def blocks(lines: list[str]) -> Iterator[str | list[str] | Directive]:
     """Yield the lines outside fences one by one, fenced code as a list of lines, directives as `Directive`.
 
     Raises:
@@ -186,7 +189,7 @@ def _role(name: str, argument: str, labels: Labels) -> str:
     raise ValueError(f"the role {{{name}}} has no plain form for notebooks: AUTHORING.md lists those that do")
 
 
-def _find(labels: dict, name: str, kind: str):
+def _find(labels: Mapping[str, Found], name: str, kind: str) -> Found:
     if name not in labels:
         raise ValueError(f"no {kind} is called {name!r}")
     return labels[name]

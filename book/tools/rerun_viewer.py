@@ -1,6 +1,6 @@
-"""Sphinx extension with two directives: ``film``, and ``recording``, which a press of a button opens in the page.
+"""Sphinx extension with two directives: ``film``, and ``recording``, which a button opens in the page.
 
-A film and a recording are files beside the page's source, with a still picture and a text for who cannot see it::
+A film and a recording are files beside the page's source, with a still picture and an alternative text::
 
     ```{recording} ../../data/recordings/hopper.rrd
     :film: ../../data/films/hopper.mp4
@@ -9,7 +9,7 @@ A film and a recording are files beside the page's source, with a still picture 
     The caption.
     ```
 
-``film`` takes an .mp4 in place of the .rrd and has no ``film`` option; a recording may go without. The viewer is the
+``film`` takes an .mp4 instead of the .rrd and has no ``film`` option; a recording may go without. The viewer is the
 one in the installed rerun-notebook, which is the version of rerun-sdk: it lies in the built book, in a folder named
 by that version, and no page loads it before it is asked to.
 """
@@ -30,6 +30,7 @@ from docutils import nodes
 from docutils.parsers.rst import directives
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
+from sphinx.writers.html5 import HTML5Translator
 
 SOURCES = Path(__file__).resolve().parents[1] / "viewer"
 FOLDER = f"_rerun/{version('rerun-notebook')}"
@@ -55,7 +56,7 @@ class Film(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         return [self.picture(film=self._file(self.arguments[0], ".mp4"))]
 
-    def picture(self, **about) -> moving_picture:
+    def picture(self, **about: object) -> moving_picture:
         for option in ("still", "alt"):
             if option not in self.options:
                 raise self.error(f"{self.name} {self.arguments[0]}: the option :{option}: is missing")
@@ -73,7 +74,7 @@ class Film(SphinxDirective):
         return self.env.dlfiles.add_file(self.env.docname, relative)
 
     def _size(self, name: str) -> tuple[int, int]:
-        """Width and height, which stand in the header of a PNG."""
+        """Width and height, from the header of a PNG."""
         header = Path(self.env.relfn2path(name)[1]).read_bytes()[:24]
         return struct.unpack(">II", header[16:])
 
@@ -91,7 +92,7 @@ class Recording(Film):
         return [self.picture(film=film and self._file(film, ".mp4"), recording=source, bytes=size, number=number)]
 
 
-def visit_html(translator, node: moving_picture) -> None:
+def visit_html(translator: HTML5Translator, node: moving_picture) -> None:
     downloads = translator.builder.dlpath
     root = downloads.removesuffix("_downloads")
 
@@ -122,16 +123,16 @@ def visit_html(translator, node: moving_picture) -> None:
     translator.body.append("".join(parts) + "<figcaption>")
 
 
-def depart_html(translator, node: moving_picture) -> None:
+def depart_html(translator: HTML5Translator, node: moving_picture) -> None:
     translator.body.append("</figcaption></figure>\n")
 
 
-def show_caption_only(translator, node: moving_picture) -> None:
+def show_caption_only(translator: nodes.NodeVisitor, node: moving_picture) -> None:
     """Other formats than HTML have no moving pictures."""
 
 
 def put_viewer(app: Sphinx, error: Exception | None) -> None:
-    """Put the viewer into the built book, in the place of any older one; what takes long is done once a version."""
+    """Put the viewer into the built book and remove older ones; it is compressed, which takes long, once a version."""
     if error or app.builder.format != "html":
         return
     folder = Path(app.outdir, FOLDER)

@@ -1,4 +1,4 @@
-"""The graph of the recipe's rules, as Snakemake itself tells it, drawn without Graphviz."""
+"""The graph of the recipe's rules, as Snakemake itself prints it, drawn without Graphviz."""
 
 import re
 import subprocess
@@ -28,7 +28,7 @@ def rule_graph(scale: str = "lite") -> nx.DiGraph:
         ).stdout  # fmt: skip
     names = dict(re.findall(r'^\s*(\d+)\[label = "(\w+)"', printed, re.M))
     edges = re.findall(r"^\s*(\d+) -> (\d+)", printed, re.M)
-    # Waiting is passed on: an edge that others imply says nothing new.
+    # Dependence is transitive: an edge that others imply adds nothing.
     return nx.transitive_reduction(nx.DiGraph([(names[tail], names[head]) for tail, head in edges]))
 
 
@@ -37,7 +37,7 @@ def draw(axes: Axes, graph: nx.DiGraph) -> None:
     levels = [list(rules) for rules in nx.topological_generations(graph.reverse())]
     level = {rule: height for height, rules in enumerate(levels) for rule in rules}
     routes = []
-    for tail, head in graph.edges:  # a long edge has a place of its own on each level that it passes
+    for tail, head in graph.edges:  # a long edge has a place on each level that it passes
         between = [(tail, head, height) for height in range(level[head] + 1, level[tail])]
         for height, via in zip(range(level[head] + 1, level[tail]), between, strict=True):
             levels[height].append(via)
@@ -57,13 +57,13 @@ def draw(axes: Axes, graph: nx.DiGraph) -> None:
 
 
 def _width(stop: str | tuple) -> float:
-    """In characters: the name of a rule with its box, or the room for an edge that passes."""
+    """Width in characters: of a rule's name with its box, or of an edge that passes."""
     return len(stop) + 4.0 if isinstance(stop, str) else 2.0
 
 
 def _places(levels: list[list], neighbours: nx.Graph) -> dict:
-    """Places in which few edges cross: on each level in the order of the middle of what is below, and then above."""
-    places = {}
+    """Places with few crossings: each level is ordered by the mean place of its neighbours, below and above in turn."""
+    places: dict = {}
     for sweep in range(9):
         for height, stops in enumerate(levels) if sweep % 2 == 0 else reversed(list(enumerate(levels))):
             middle = {stop: np.mean([places[n][0] for n in neighbours[stop] if n in places] or [0]) for stop in stops}

@@ -1,7 +1,7 @@
 """Writes notebooks from the chapters: ``python student.py [--solved] FOLDER``.
 
-The student's notebook has stubs in the place of solutions and no outputs, and says in plain Markdown what the chapter
-says in MyST. The same chapters always give the same bytes.
+The student's notebook has stubs instead of solutions, no outputs, and the chapter's MyST as plain Markdown. The same
+chapters always give the same bytes.
 """
 
 import argparse
@@ -57,7 +57,8 @@ def make_notebooks(book: Path = BOOK, solved: bool = False) -> dict[str, str]:
 
 def _collect_labels(name: str, notebook: nbformat.NotebookNode, labels: Labels) -> None:
     """Number figures and equations in reading order, as Sphinx does."""
-    chapter, counts = int(name.split("-")[0]), Counter()
+    chapter = int(name.split("-")[0])
+    counts: Counter[str] = Counter()
 
     def number(kind: str) -> str:
         counts[kind] += 1
@@ -96,7 +97,7 @@ def _convert(name: str, notebook: nbformat.NotebookNode, labels: Labels, solved:
 
 
 def write_notebooks(folder: Path, solved: bool = False) -> None:
-    """Write the notebooks of all chapters into ``folder``, and remove those of chapters that are no more."""
+    """Write the notebooks of all chapters into ``folder``, and remove those of chapters that do not exist any more."""
     folder.mkdir(parents=True, exist_ok=True)
     made = make_notebooks(solved=solved)
     for path in folder.glob("*.ipynb"):

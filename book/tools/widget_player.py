@@ -1,6 +1,6 @@
 """Brings the player of ipywidgets for static pages: ``python widget_player.py _build/vendor/widgets/embed.js``.
 
-It is one file of the npm package below. npm comes with a Python package, so that nobody installs Node by hand.
+It is one file of the npm package below. npm comes with a Python package, so Node need not be installed by hand.
 """
 
 import base64

@@ -48,7 +48,7 @@ def test_the_table_names_only_stages_that_were_measured(run):
 
 
 def command_line(data, *arguments) -> subprocess.CompletedProcess:
-    """The tool with another folder for data/."""
+    """Run the tool with another folder for data/."""
     program = [sys.executable, durations.__file__, *map(str, arguments)]
     return subprocess.run(program, capture_output=True, text=True, env=os.environ | dict(DETDEN_DATA=str(data)))
 

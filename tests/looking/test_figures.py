@@ -26,7 +26,7 @@ def robot():
 
 @pytest.fixture(scope="module")
 def episodes():
-    """An untrained victim's: they last for some dozen steps, not all equally long."""
+    """Episodes of an untrained victim: they last for some dozen steps, not all equally long."""
     victim = Victim([11, 16, 3], [14, 16, 1])
     return rollout(victim, HOPPER, range(4), attack=UniformNoise(Budget(0.075)), steps=150)
 

@@ -1,4 +1,4 @@
-"""Films and stills. A GL driver renders them, in a process of its own: MUJOCO_GL is read when Python starts."""
+"""Films and stills. A GL driver renders them in a separate process: MUJOCO_GL is read when Python starts."""
 
 import os
 import pickle
@@ -42,7 +42,7 @@ def kinds():
 
 @pytest.fixture(scope="module")
 def folder(kinds, tmp_path_factory) -> Path:
-    """A folder with a film and stills in it, made anew."""
+    """A folder with a film and stills that were just made."""
     folder = tmp_path_factory.mktemp("films")
     (folder / "episodes").write_bytes(pickle.dumps((HOPPER, kinds)))
     run_with_gl(SCRIPT, folder)
@@ -67,7 +67,7 @@ def test_half_the_speed_doubles_the_frames(folder):
     assert len(slow) == 2 * len(fast)
     for frame, twice in zip(fast, slow[::2], strict=True):
         one, other = (np.frombuffer(picture, np.uint8).astype(int) for picture in (frame, twice))
-        assert np.abs(one - other).mean() < 3  # but for what the codec makes of them
+        assert np.abs(one - other).mean() < 3  # except for the codec's losses
 
 
 def test_a_still_shows_each_robot_in_its_colour(folder):

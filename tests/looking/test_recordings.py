@@ -133,7 +133,7 @@ def test_the_same_episodes_give_the_same_recording(path, episodes, tmp_path):
 
 
 def test_a_thousand_steps_of_hopper_are_small(tmp_path):
-    """Steps put together from short episodes: what is measured is the size, and a falling robot is soon over."""
+    """The steps are joined from short episodes, since an untrained robot falls early and only the size matters."""
     short = rollout(make_victim(), HOPPER, range(200), attack=UniformNoise(BUDGET, 1), defense=make_defense(), steps=10)
     arrays = {
         name: np.swapaxes(value, 0, 1).reshape(-1, 1, *value.shape[2:])[:1000]

@@ -46,7 +46,7 @@ def test_a_play_button_covers_all_frames():
 
 
 def test_the_browser_alone_moves_the_frames():
-    """What joins slider and pictures is a link that the browser follows, not a callback of Python."""
+    """Slider and pictures are joined by a link in the browser, not by a callback in Python."""
     box = frames(draw, [1, 2], "height", str)
     state = embed_data([box], state=dependency_state([box]))["manager_state"]["state"].values()
     (link,) = [model["state"] for model in state if model["model_name"] == "LinkModel"]

@@ -1,4 +1,4 @@
-"""The defences that are assembled around the main one, each for real, from parts trained in seconds."""
+"""The defences that are assembled around the main one, from parts that are trained in seconds."""
 
 import json
 
@@ -76,7 +76,7 @@ def test_the_ceilings_know_the_truth(run):
 
 
 def test_the_baselines_are_calibrated_and_closer_to_normal_than_chance(run):
-    """The share of held-out clean observations that they find alarming is what they were calibrated to."""
+    """They raise the alarm on the share of held-out clean observations that they were calibrated to."""
     held_out = load_trajectories(run, "calibration")
     for name in ("mahalanobis", "prediction"):
         detector = ablations.build_defense(run, name).detector

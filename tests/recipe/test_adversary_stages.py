@@ -74,14 +74,14 @@ def test_a_folder_with_the_adversary_of_another_victim_is_refused(trained):
 
 @pytest.fixture
 def run(tmp_path) -> Run:
-    """A run with a victim that falls at different times, when it is vulnerable, and no more."""
+    """A run that has a victim, which falls at different times, and its tuned timing, and nothing else."""
     models.save_victim("hopper", "td3", make_victim(seed=8), {}, tmp_path)
     manifest.write_json(tmp_path / "hopper-td3" / "timing.json", dict(c_vul=C_VUL, attack_rate=0.5), tmp_path)
     return Run.of(tmp_path, "hopper", "td3", "tiny")
 
 
 def add_member(run: Run, member: int, seeds) -> list[Path]:
-    """A training that was, with random snapshots."""
+    """The folder of a finished training, with random snapshots."""
     folder = run.folder / "checkpoints" / f"adversary-{member}"
     (folder / "snapshots").mkdir(parents=True)
     (folder / "recipe.json").write_text(json.dumps(dict(net=16, seed=member)))
@@ -95,7 +95,7 @@ def add_member(run: Run, member: int, seeds) -> list[Path]:
 
 
 def left(run: Run, path: Path, episodes) -> float:
-    """The mean return of the victim against a snapshot that strikes always, and against one that waits for weakness."""
+    """The victim's mean return over both timings: attacked always by a snapshot, and where it is vulnerable."""
     adversary = Victim.from_state(AdversaryRecipe(net=16).config(HOPPER), load_file(path))
     attack, victim = OptimalAttack(adversary, run.budget), run.victim()
     always, vulnerable = (
@@ -176,7 +176,7 @@ def test_an_adaptive_adversary_is_trained_chosen_and_evaluated(run):
     assert recipe["defense"] == MAIN
     assert recipe["denoiser"] == manifest.promised(run.folder / f"denoiser-{MAIN}.safetensors", run.root)
     with pytest.raises(ValueError, match="no snapshot of an adversary"):
-        adversary_stages.choose(run)  # this one is not for the bare victim
+        adversary_stages.choose(run)  # the trained one is for the defended victim
     adversary_stages.choose(run, defended=True)
     card = manifest.read_json(run.folder / "adversary-adaptive.json", run.root)
     n = len(card["learning_curves"][0]["mean"])

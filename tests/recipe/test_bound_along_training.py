@@ -46,7 +46,7 @@ def test_the_total_variation_is_that_of_the_actions(run):
 
 
 def test_both_sides_are_known_for_a_denoiser_that_does_nothing(run):
-    """The largest error is the distance to a corner of the box, and what is lost is what the bare victim loses."""
+    """The largest error is the distance to a corner of the box, and the value lost is that of the bare victim."""
     victim, detector = run.victim(), Detector(make_gruvae(), 0.0)
     clean, bare = play(run, victim, 4), play(run, victim, 4, run.opposite(victim))
     found = both_sides(run, nothing(), detector, clean)
@@ -75,7 +75,7 @@ def test_a_killed_stage_resumes_at_the_next_epoch(run, tmp_path, monkeypatch):
     assert len(seen) == 3  # the first epoch is not measured again, and the second is
     record = manifest.read_json(run.folder / "curve.json", tmp_path)
     assert record["variant"] == "residual" and len(record["epochs"]) == run.scale.defense.epochs
-    # What is trained once more is what was shipped, and the last epoch is measured of it.
+    # The repeated training gives the stored denoiser, which is measured after the last epoch.
     defense_stages.train_denoiser(run, "residual")
     model = models.load_model("hopper", "td3", "denoiser-residual", tmp_path)[0]
     clean = play(run, run.victim(), record["seeds"][1])

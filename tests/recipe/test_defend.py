@@ -1,4 +1,4 @@
-"""A policy of one's own, defended in one call; what it refuses, and what it does when it is called again."""
+"""``defend``: a policy that the recipe does not know, defended in one call; its refusals, and a second call."""
 
 import shutil
 import subprocess
@@ -58,7 +58,7 @@ def again(folder, ppo, **changes):
 
 
 def scores(defense, obs) -> np.ndarray:
-    """What detector and denoiser make of ten steps of three episodes."""
+    """Scores and denoised observations of ten steps of three episodes."""
     defense.reset(range(3))
     verdicts = [defense(step) for step in obs]
     return torch.stack([torch.cat([v.score[:, None], v.denoised], 1) for v in verdicts]).numpy()
@@ -92,7 +92,7 @@ def test_a_lost_file_is_made_again_the_same(defended, ppo, tmp_path, lost):
     found, folder = defended
     copy, obs = shutil.copytree(folder, tmp_path / "copy"), normal(10, 3, 4)
     path = copy / "invertedpendulum-ppo" / lost
-    if path.is_dir():  # and with it what was made of it
+    if path.is_dir():  # and what was made of it
         shutil.rmtree(copy / "invertedpendulum-ppo" / "checkpoints")
         shutil.rmtree(path)
         (path.parent / "detector-diverse.safetensors").unlink()
@@ -172,7 +172,7 @@ def test_a_defence_of_unknown_settings_is_refused(defended, ppo, tmp_path):
 
 
 def test_a_wrapper_hidden_behind_an_id_is_refused():
-    """The episodes are played without it, so that the defence would be made for other observations."""
+    """The episodes are played without the wrapper: the defence would be made for other observations."""
 
     def scaled(**kwargs):
         world = InvertedPendulumEnv(**kwargs)
@@ -184,7 +184,7 @@ def test_a_wrapper_hidden_behind_an_id_is_refused():
 
 
 class Odd(gymnasium.Env):
-    """In no registry."""
+    """An environment that is not registered."""
 
 
 @pytest.mark.parametrize(

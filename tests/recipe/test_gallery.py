@@ -1,4 +1,4 @@
-"""The film of all attacks and their recordings; a GL driver renders them in a process of its own."""
+"""The film of all attacks and their recordings; a GL driver renders them in a separate process."""
 
 import json
 

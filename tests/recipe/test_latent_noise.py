@@ -1,4 +1,4 @@
-"""What the noise of the latents costs an attacker: on small real defences, of which some answers are known."""
+"""What the noise of the latents costs an attacker: on small real defences, for which some answers are known."""
 
 import copy
 import json
@@ -61,7 +61,7 @@ def test_more_latent_noise_lowers_the_signal_to_noise():
     assert before.shape == (4,) and (before > 0).all()
     model.to_log_variance.bias += np.log(4)
     assert torch.allclose(signal_to_noise(model, obs), before / 4, rtol=1e-4)
-    model.to_mean.bias += 10  # a mean that is far away says nothing
+    model.to_mean.bias += 10  # a constant offset of the mean carries no signal
     assert torch.allclose(signal_to_noise(model, obs), before / 4, rtol=1e-3)
 
 
@@ -79,7 +79,7 @@ def test_every_quantity_is_measured_at_every_given_step(played, monkeypatch):
         found["free"],
     ]
     assert {len(row) for row in rows} == {8} and list(found["samples"]) == ["1", "2"]
-    assert np.mean(found["samples"]["2"]) >= 0.95 * np.mean(found["unaware"])  # it knows more
+    assert np.mean(found["samples"]["2"]) >= 0.95 * np.mean(found["unaware"])  # the adaptive attack knows more
     assert found["latent"] == sorted(found["latent"])
 
 

@@ -29,7 +29,7 @@ def test_a_new_victim_removes_only_what_the_last_led_to(tmp_path):
         manifest.write_json(tmp_path / name, {}, tmp_path)
     run.forget_others(a_victim(0))
     assert all((tmp_path / name).exists() for name in made + kept)
-    (tmp_path / "hopper-td3" / "victim.safetensors").unlink()  # as Snakemake does before it chooses anew
+    (tmp_path / "hopper-td3" / "victim.safetensors").unlink()  # as Snakemake does before it runs select again
     run.forget_others(a_victim(1))
     assert not [name for name in made if (tmp_path / name).exists()]
     assert all((tmp_path / name).exists() for name in kept)

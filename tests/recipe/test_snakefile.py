@@ -1,4 +1,4 @@
-"""The Snakefile: what it plans at each scale, and a real run under two jobs that is killed on its way."""
+"""The Snakefile: what it plans at each scale, and a real run with two jobs at once that is killed and resumed."""
 
 import csv
 import os
@@ -48,21 +48,21 @@ def recipe(folder: Path, *arguments, scale: str = "tiny") -> list[str]:
 
 
 def run(folder: Path, *arguments, scale: str = "tiny") -> str:
-    """What Snakemake prints; it must succeed."""
+    """The output of Snakemake, which must succeed."""
     done = subprocess.run(recipe(folder, *arguments, scale=scale), capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout + done.stderr
 
 
 def refuse(folder: Path, *arguments) -> str:
-    """What Snakemake prints; it must fail."""
+    """The output of Snakemake, which must fail."""
     done = subprocess.run(recipe(folder, *arguments), capture_output=True, text=True)
     assert done.returncode != 0
     return done.stdout + done.stderr
 
 
 def jobs(scale: str) -> dict[str, int]:
-    """How many jobs of each rule a scale plans for all ten rows, and for the one that is not the paper's."""
+    """The number of jobs of each rule at a scale, for all ten rows and the one that is not the paper's."""
     config = yaml.safe_load((DATA / "config" / f"{scale}.yaml").read_text())
     variants = [config["variants"].get(row, config["variants"]["default"]) for row in ROWS]
     members, adapted = config["adversaries"], len(config["adapted"])
@@ -71,7 +71,7 @@ def jobs(scale: str) -> dict[str, int]:
 
 
 def planned(printed: str) -> dict[str, int]:
-    """How many jobs of each rule a dry run would run."""
+    """The number of jobs of each rule in a dry run."""
     table = printed.split("Job stats:")[1].split("total")[0]
     return {rule: int(n) for rule, n in re.findall(r"^(\w+) +(\d+)$", table, re.M)}
 
@@ -85,7 +85,7 @@ def test_every_scale_plans_the_whole_graph_for_all_ten_rows(tmp_path, scale):
     members = [len(get_scale(scale, TASKS[row.split("-")[0]], row.split("-")[1]).adversaries) for row in ROWS]
     assert planned(printed) == jobs(scale) and sum(members) == jobs(scale)["adversary"]
     assert set(re.findall(r"--member (\d+)", printed)) == {str(member) for member in range(max(members))}
-    for stage in ("adversary", "choose", "adapt"):  # with the defence inside for some rows, and for those alone
+    for stage in ("adversary", "choose", "adapt"):  # with the defence only for the adapted rows
         told = re.findall(rf"detden_lite {stage} --task (\w+) --algo (\w+) .*", printed)
         inside = re.findall(rf"detden_lite {stage} --task (\w+) --algo (\w+) .*--defended", printed)
         assert {"-".join(row) for row in (told if stage == "adapt" else inside)} == set(config["adapted"])
@@ -104,7 +104,7 @@ def test_each_rule_runs_its_stage_for_the_listed_victims(tmp_path):
             assert all(f"detden_lite {stage.name} " in block for block in blocks), rule
             ran = {"-".join(row) for block in blocks for row in re.findall(r"--task (\w+) --algo (\w+)", block)}
             named = set(config[setting]) | (set(config["own"]) if rule in ("victim", "select") else set())
-            if rule == "qfunction":  # a TD3 victim has critics of its own
+            if rule == "qfunction":  # a TD3 victim has critics already
                 named = {row for row in named if row.endswith("ppo")}
             assert ran == (named if stage.row and rule != "publish" else set()), rule
 
@@ -177,7 +177,7 @@ def test_the_graph_for_the_book_is_that_of_the_stages():
 
 
 def files(folder: Path) -> dict[str, int]:
-    """When each file of a run was written, without Snakemake's own and those that are written again and again."""
+    """When each file of a run was written, without Snakemake's own files and those that are always rewritten."""
     found = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*") if path.is_file()}
     apart = re.compile(r"^(\.|logs/|benchmarks/|manifest\.json|MUJOCO_LOG)|.+(/checkpoint/.+|\.new)$")
     return {name: path.stat().st_mtime_ns for name, path in found.items() if not apart.match(name)}
@@ -185,7 +185,7 @@ def files(folder: Path) -> dict[str, int]:
 
 @pytest.fixture(scope="module")
 def killed(tmp_path_factory) -> tuple[Path, dict[str, int]]:
-    """A run of one row, killed with all its jobs as soon as the first record is there; and what it had by then."""
+    """A run of one row that was killed with all its jobs after the first record, and its files at that time."""
     folder = tmp_path_factory.mktemp("recipe")
     arguments = ("--jobs", "2", "--config", "only=hopper-ppo", "films=false")
     process = subprocess.Popen(
@@ -207,7 +207,7 @@ def test_a_killed_run_resumes_and_makes_nothing_twice(killed):
     now = files(folder)
     assert len([name for name in had if name.endswith(".safetensors")]) >= 8
     assert len([name for name in had if name.startswith("results/")]) >= 1
-    # A training that was under way goes on from its last checkpoint, and writes again what came after that.
+    # A training that was running resumes from its last checkpoint, and writes again what came after that.
     trainings = {name: re.match(r".+/checkpoints/(defended-)?adversary-\d+/", name) for name in had}
     under_way = {name for name, training in trainings.items() if training and f"{training.group()}done" not in had}
     kept = {name: written for name, written in had.items() if name not in under_way}

@@ -48,13 +48,13 @@ def run_stage(root: Path, *stage: str, algo: str = "td3") -> None:
 
 
 def contents(root: Path) -> dict[str, bytes]:
-    """Every file of a run but the checkpoints of training, whose zip files hold the time of day."""
+    """Every file of a run except the checkpoints of trainings, whose zip files hold the time of day."""
     files = (path for path in root.rglob("*") if path.is_file() and "checkpoint" not in path.parts)
     return {path.relative_to(root).as_posix(): path.read_bytes() for path in files}
 
 
 def run_recipe(root: Path, order: list[str], algo: str) -> Path:
-    """Every stage in its order; and each once more, which changes nothing."""
+    """Run every stage in order, and each a second time, which changes nothing."""
     for stage in order:
         run_stage(root, stage, algo=algo)
         before = contents(root)
@@ -110,7 +110,7 @@ def test_a_ppo_victim_is_stored_with_normaliser_and_q_function(tiny_ppo):
 
 
 def test_the_timing_is_tuned_on_the_value_network(tiny_ppo, tmp_path):
-    """V of a PPO victim is its own, whether a Q was learned or not."""
+    """The timing is the same whether a Q-function was learned or not."""
     copy = shutil.copytree(tiny_ppo, tmp_path / "copy")
     before = (copy / "hopper-ppo" / "timing.json").read_bytes()
     for name in ("timing.json", "critic.json", "critic.safetensors"):
@@ -142,7 +142,7 @@ def test_the_shipped_victim_is_the_best_in_selection(tiny):
 
 
 def test_the_victim_is_chosen_by_screening_and_then_by_selection(copy):
-    """Of another seed's twelve snapshots and the two that were trained."""
+    """Among another seed's twelve snapshots and the two that were trained."""
     other = copy / "hopper-td3" / "checkpoints" / "victim-1"
     (other / "snapshots").mkdir(parents=True)
     (other / "recipe.json").write_text(json.dumps(dict(net=16, seed=1)))
@@ -214,7 +214,7 @@ def test_every_variant_that_learns_from_both_attacks_is_trained(attacked):
 def test_the_threshold_is_calibrated_on_held_out_episodes(tiny):
     model, card = models.load_model("hopper", "td3", "detector-diverse", tiny)
     scores = clean_scores(Detector(model, np.inf), load_trajectories(the_run(tiny), "calibration"))
-    assert not card["conformal"]  # four episodes cannot promise one false alarm in twenty steps
+    assert not card["conformal"]  # four episodes cannot guarantee one false alarm in twenty steps
     assert card["threshold"] == pytest.approx(calibrate(scores, card["false_alarms"]))
     assert card["calibration_quantiles"]["0.5"] == pytest.approx(np.median(scores))
 
@@ -232,7 +232,7 @@ def test_a_lost_or_damaged_file_is_made_again_the_same(tiny, copy):
     for harmed in (f"{shard}.safetensors",):
         (copy / harmed).write_bytes((copy / harmed).read_bytes()[:100])
     manifest = json.loads((copy / "manifest.json").read_text())
-    del manifest["results/hopper-td3.fgsm.always.none.json"]  # written, but the kill came before it was noted
+    del manifest["results/hopper-td3.fgsm.always.none.json"]  # written, but killed before the manifest was
     (copy / "manifest.json").write_text(json.dumps(manifest))
     for stage, names in harms.items():
         for name in names:
@@ -365,7 +365,7 @@ def test_a_kill_while_trajectories_are_collected_loses_no_whole_file(tiny, tmp_p
     assert process.wait() == -signal.SIGKILL
     made = sorted((killed.folder / "normal-diverse").glob("*.safetensors"))
     whole = [path for path in made if manifest.is_made(path, killed.root)]
-    assert 3 <= len(whole) < 30 and len(made) - len(whole) <= 1  # one at most was in the making
+    assert 3 <= len(whole) < 30 and len(made) - len(whole) <= 1  # at most one was being written
     assert all(len(load_shard(killed, path)) == 2 for path in whole)
     before = {path: path.stat().st_mtime_ns for path in whole}
     for run in (killed, uninterrupted):
@@ -390,7 +390,7 @@ for stage in sys.argv[2:]:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such quota")
 def test_a_full_disk_stops_every_stage_and_changes_nothing(tiny, copy):
-    """For each stage something is missing; but ``select`` would replace what is there."""
+    """For each stage a file is missing, except for ``select``, which would replace one."""
     folder = copy / "hopper-td3"
     lost = dict(
         collect=folder / "calibration" / "00000.safetensors",
@@ -417,7 +417,7 @@ def test_a_full_disk_stops_every_stage_and_changes_nothing(tiny, copy):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such quota")
 def test_an_error_of_the_disk_is_one_line(tmp_path):
-    """Not only a file of ours that is too large: here a folder cannot be made where a file stands."""
+    """A folder cannot be made where a file is."""
     (tmp_path / "hopper-td3").write_text("in the way")
     result = command_line("victim", "--root", str(tmp_path))
     assert result.returncode == 1 and result.stderr.count("\n") == 1
