@@ -1,4 +1,4 @@
-"""Sphinx extension that shows the repository's address, if pyproject.toml has one: a button on each page."""
+"""Sphinx extension that shows the repository's address, if pyproject.toml has one: an icon on each page."""
 
 import tomllib
 from pathlib import Path
@@ -15,9 +15,10 @@ def source(text: str) -> str:
 
 
 def show_repository(app: Sphinx, config: Config) -> None:
-    """Switch the theme's button on."""
+    """Add the theme's icon."""
     if address := source(PYPROJECT.read_text("utf-8")):
-        config.html_theme_options |= {"repository_url": address, "use_repository_button": True}
+        icon = dict(name="The source code", url=address, icon="fa-solid fa-code-branch")
+        config.html_theme_options["icon_links"] = [icon]
 
 
 def setup(app: Sphinx) -> dict:
