@@ -1,11 +1,15 @@
 """Trajectories to learn from: their checks, and adversarial ones made offline (sections 2.4 and 3.1.2)."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from tqdm import tqdm
 
 from detden_lite.core.arguments import check_between, check_whole
 from detden_lite.core.types import Attack, Trajectories, World
+
+Pair = tuple[Trajectories, Trajectories]  # input and target
 
 
 def check_trajectories(name: str, *versions: Trajectories) -> None:
@@ -37,6 +41,16 @@ def check_trajectories(name: str, *versions: Trajectories) -> None:
             raise ValueError(
                 f"{name}: inputs and targets must be versions of the same trajectories, of the same lengths"
             )
+
+
+def check_pairs(pairs: Sequence[Pair]) -> None:
+    """Refuse pairs of (input, target) that are empty or of different trajectories; a ValueError says which."""
+    if not pairs:
+        raise ValueError("pairs is empty: give at least [(normal, normal)]")
+    for i, (inputs, targets) in enumerate(pairs):
+        check_trajectories(f"pairs[{i}]", targets, inputs)
+        if targets.obs.shape[1:] != pairs[0][1].obs.shape[1:]:
+            raise ValueError(f"pairs[{i}]: it has not the steps and observations of the first pair")
 
 
 def augment(normal: Trajectories, attack: Attack, batch: int = 2_048, seed: int = 0) -> Trajectories:

@@ -38,6 +38,9 @@ class KalmanFilter:
         budget: the attacker's ball, which sets the measurement noise: epsilon (times scale) squared is the largest
             variance of a dimension; for the norms 2 and 1, which all dimensions share, its mean over them.
 
+    Raises:
+        ValueError: if the budget's scale has another length than the observations.
+
     Example:
         >>> one = torch.ones(1, 1, dtype=torch.float64)
         >>> still = LinearModel(transition=one, offset=0 * one[0], noise=0.02 * one, start=0 * one[0])
@@ -49,6 +52,7 @@ class KalmanFilter:
 
     def __init__(self, model: LinearModel, budget: Budget):
         self.obs_dim = len(model.start)
+        budget.projection(torch.zeros(1, self.obs_dim))  # refuses a scale of another length
         size = torch.as_tensor(budget.epsilon * budget.scale, dtype=torch.float64).expand_as(model.start)
         share = 1 if budget.norm == inf else self.obs_dim
         self.model, self.gain = model, steady_gain(model, torch.diag(size.square() / share))

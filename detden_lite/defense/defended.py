@@ -131,8 +131,8 @@ class Defended:
         if self._rows is None or starts.all():
             episodes = range(self._begun, self._begun + n)
             self._defense.reset(episodes)
-            self._rows, self._streams, self._begun = n, RandomStreams(4, episodes), self._begun + n
-            self._action = None
+            self._rows, self._streams, self._action = n, RandomStreams(4, episodes), None
+            self._begun += n
             return
         if n != self._rows:
             raise ValueError(f"obs: it is of {n} episodes, and {self._rows} are under way; call reset() before others")

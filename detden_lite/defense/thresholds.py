@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from detden_lite.core.types import Detector, Trajectories
+from detden_lite.defense.augmentation import check_trajectories
 
 
 def clean_scores(detector: Detector, trajectories: Trajectories, batch: int = 128) -> np.ndarray:
@@ -16,12 +17,16 @@ def clean_scores(detector: Detector, trajectories: Trajectories, batch: int = 12
         trajectories: clean ones, for a threshold.
         batch: episodes at once.
 
+    Raises:
+        ValueError: if the trajectories break their contract.
+
     Example:
         >>> from detden_lite import Gaussian, MahalanobisDetector
         >>> detector = MahalanobisDetector(Gaussian(torch.zeros(1), torch.eye(1)), threshold=np.inf)
         >>> clean_scores(detector, Trajectories(np.array([[[1.0], [2.0], [0.0]]], np.float32), np.array([2])))
         array([1., 2.], dtype=float32)
     """
+    check_trajectories("trajectories", trajectories)
     scores = []
     for start in range(0, len(trajectories), batch):
         part = trajectories.select(slice(start, start + batch))

@@ -11,13 +11,10 @@ from tqdm import tqdm
 
 from detden_lite.core.arguments import check_between, check_positive, check_whole
 from detden_lite.core.random_streams import derived_seed
-from detden_lite.core.types import Trajectories
-from detden_lite.defense.augmentation import check_trajectories, intermittent
+from detden_lite.defense.augmentation import Pair, check_pairs, intermittent
 from detden_lite.defense.checkpoint import Parts, resume, save_checkpoint
 from detden_lite.defense.gruvae import GRUVAE, LEAST_STD, kl_divergence, reconstruction_loss
 from detden_lite.defense.regularizer import Regularizer
-
-Pair = tuple[Trajectories, Trajectories]  # input and target
 
 
 @dataclass(frozen=True)
@@ -106,6 +103,7 @@ def train_gruvae(
         ArtifactError: if the checkpoint is damaged.
 
     Example:
+        >>> from detden_lite import Trajectories
         >>> waves = np.sin(np.arange(60, dtype=np.float32)).reshape(4, 5, 3)
         >>> normal = Trajectories(waves, lengths=np.array([5, 5, 4, 3]))
         >>> detector = train_gruvae(VAERecipe(hidden=8, latent=2, epochs=1), [(normal, normal)], seed=0)
@@ -114,7 +112,11 @@ def train_gruvae(
     """
     if recipe.lam and regularizer is None:
         raise ValueError(f"regularizer: the recipe weighs it with lam = {recipe.lam}, so give one")
-    _check_pairs(pairs)
+    check_pairs(pairs)
+    if regularizer and regularizer.victim.obs_dim != pairs[0][1].obs.shape[-1]:
+        raise ValueError(
+            f"regularizer: its victim has {regularizer.victim.obs_dim} observations, and pairs have others"
+        )
     torch.manual_seed(seed)
     target = pairs[0][1]
     seen = torch.from_numpy(target.obs[target.mask])
@@ -150,15 +152,6 @@ def train_gruvae(
             if after_epoch:
                 after_epoch(epoch, model)
     return model.requires_grad_(False).eval()
-
-
-def _check_pairs(pairs: Sequence[Pair]) -> None:
-    if not pairs:
-        raise ValueError("pairs is empty: give at least [(normal, normal)]")
-    for i, (inputs, targets) in enumerate(pairs):
-        check_trajectories(f"pairs[{i}]", targets, inputs)
-        if targets.obs.shape[1:] != pairs[0][1].obs.shape[1:]:
-            raise ValueError(f"pairs[{i}]: it has not the steps and observations of the first pair")
 
 
 def _largest_moves(pairs: Sequence[Pair]) -> np.ndarray:

@@ -54,7 +54,12 @@ def worst_errors(
 
     The denoiser remembers the attacked episode, and takes the mean of its latent. The attacker seeks the largest error
     of the present step, and does not plan for the next.
+
+    Raises:
+        ValueError: if the episodes have another shape.
     """
+    if obs.ndim != 3 or obs.shape[-1] != model.obs_dim:
+        raise ValueError(f"obs must be [N, steps, {model.obs_dim}], not {list(obs.shape)}")
     state: State | None = None
     errors = []
     for now in obs.unbind(1):

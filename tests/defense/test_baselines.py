@@ -156,6 +156,11 @@ def test_norms_2_and_1_share_the_noise_among_dimensions():
                        KalmanFilter(LINEAR, Budget(2.0)).gain)  # fmt: skip
 
 
+def test_a_scale_of_another_length_is_refused():
+    with pytest.raises(ValueError, match="scale"):
+        KalmanFilter(LINEAR, Budget(0.5, scale=torch.ones(17)))
+
+
 # The detectors.
 
 

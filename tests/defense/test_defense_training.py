@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from builders import BUDGET
+from builders import BUDGET, make_victim
 
 from detden_lite.core.files import ArtifactError
 from detden_lite.core.types import Trajectories
@@ -74,6 +74,11 @@ def test_options_that_are_switched_off_change_no_weight(more):
     plain = train_gruvae(RECIPE, BOTH, 0)
     assert same(train_gruvae(RECIPE, BOTH, 0, regularizer=REGULARIZER), plain)
     assert not same(train_gruvae(replace(RECIPE, **more), BOTH, 0, regularizer=REGULARIZER), plain)
+
+
+def test_a_regularizer_of_another_task_is_refused():
+    with pytest.raises(ValueError, match="regularizer: its victim has 11 observations"):
+        train_gruvae(replace(RECIPE, lam=0.5), PAIRS, 0, regularizer=Regularizer(make_victim(), BUDGET))
 
 
 def test_a_checkpoint_from_before_a_hyperparameter_existed_had_its_default(tmp_path):

@@ -87,6 +87,11 @@ def test_clean_scores_cover_every_observation_and_no_padding():
     assert np.allclose(clean_scores(detector, Trajectories(padded, lengths), batch=2), found, atol=1e-6)
 
 
+def test_lengths_beyond_the_array_are_refused():
+    with pytest.raises(ValueError, match="trajectories: lengths must be 2 whole numbers from 1 to 8"):
+        clean_scores(Detector(make_gruvae(), np.inf), Trajectories(normal(2, 8, 11).numpy(), np.array([8, 9])))
+
+
 @pytest.mark.parametrize("rate", [0.01, 0.1, 0.5])
 @pytest.mark.parametrize("n", [7, 100, 1_003])
 def test_at_most_the_given_fraction_of_scores_exceeds_the_threshold(rate, n):
@@ -189,6 +194,7 @@ def test_fewer_misses_cost_f1():
         ([1.0, 2.0], [True, True], 0.01, "clean steps and attacked"),
         ([1.0, 2.0], [False, False], 0.01, "clean steps and attacked"),
         ([1.0, 2.0], [False, True], 1.0, "misses"),
+        ([1.0, 2.0], [False, True], np.nan, "misses"),
     ],
 )
 def test_scores_that_cannot_be_tuned_on_are_refused(scores, attacked, misses, message):

@@ -3,12 +3,19 @@
 import itertools
 import math
 
+import pytest
 import torch
 from builders import BUDGET, make_gruvae, normal
 
 from detden_lite.core.budget import Budget
 from detden_lite.core.random_streams import RandomStreams
 from detden_lite.theory.worst_error import worst_error, worst_errors
+
+
+def test_episodes_of_another_shape_are_refused():
+    for obs in (normal(3, 11), normal(3, 6, 17)):
+        with pytest.raises(ValueError, match="obs must be"):
+            worst_errors(make_gruvae(), obs, BUDGET, RandomStreams(0))
 
 
 def test_the_identity_errs_by_the_distance_to_the_corners():
