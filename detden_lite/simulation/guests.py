@@ -1,6 +1,6 @@
-"""What ``rollout`` asks of its guests, the attack, the timing and the defence, before and at the first step.
+"""The checks of ``rollout``'s guests, the attack, the timing and the defence, before and at the first step.
 
-They are checked once: a guest that keeps its contract at the first step is trusted with the others.
+They are made once: a guest that keeps its contract at the first step is trusted with the others.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from detden_lite.core.types import KNOWLEDGE, Verdict
 
 
 def check_guests(attack: object, timing: object, defense: object) -> None:
-    """Whether they have the methods of their contracts in ``detden_lite.core.types``; None is no guest.
+    """Check that guests have the methods of their contracts in ``detden_lite.core.types``; None is no guest.
 
     Raises:
         ValueError: names the argument and what it lacks.
@@ -36,7 +36,7 @@ def check_guests(attack: object, timing: object, defense: object) -> None:
 
 
 def check_seeds(seeds: Sequence[int]) -> None:
-    """Whether they are whole numbers of at least 0, one at least."""
+    """Check that there is at least one seed, and that each is a whole number of at least 0."""
     if not len(seeds):
         raise ValueError("seeds is empty: give one seed for each episode")
     for seed in seeds:
@@ -44,7 +44,7 @@ def check_seeds(seeds: Sequence[int]) -> None:
 
 
 def check_horizon(steps: int | None, name: str = "steps") -> None:
-    """Whether a number of steps is None or at least 1."""
+    """Check that a number of steps is None or at least 1."""
     if steps is not None:
         check_whole(1, **{name: steps})
 
@@ -61,12 +61,12 @@ def check_noise(action_noise: float | np.ndarray | Tensor, n: int, action_dim: i
 
 
 def check_timing(attacked: Tensor, n: int) -> None:
-    """1_vul at the first step: ``[N]`` bool."""
+    """Check 1_vul at the first step: ``[N]`` bool."""
     _check("timing", "it says when to attack with", attacked, (n,), torch.bool)
 
 
 def check_perturbed(attack: object, perturbed: Tensor, true: Tensor, wanted: Tensor) -> None:
-    """An attack's answer at the first step, and that it keeps its own budget on the rows that are wanted."""
+    """Check an attack's answer at the first step: shape, numbers, and its own budget on the rows that are wanted."""
     _check("attack", "it gives", perturbed, tuple(true.shape), torch.float32)
     rows = perturbed[wanted]
     if not rows.isfinite().all():
@@ -84,7 +84,7 @@ def check_perturbed(attack: object, perturbed: Tensor, true: Tensor, wanted: Ten
 
 
 def check_verdict(verdict: Verdict, shown: Tensor) -> None:
-    """A defence's answer at the first step."""
+    """Check a defence's answer at the first step."""
     if not isinstance(verdict, Verdict):
         raise ValueError(f"defense: it gives {type(verdict).__name__}, and must give a detden_lite.Verdict")
     n, shape = len(shown), tuple(shown.shape)
