@@ -106,7 +106,7 @@ def in_effect(toy: Toy, seen: Tensor) -> Tensor:
 
 @pytest.mark.parametrize("steps", [0, 3])
 @pytest.mark.parametrize("layers", [1, 2])
-def test_the_view_is_what_the_defence_does_next_with_the_same_noise(steps, layers):
+def test_the_view_predicts_the_next_step_of_the_defence(steps, layers):
     parts = dict(
         detector=Detector(make_gruvae(layers=layers), 2.0), denoiser=Denoiser(make_gruvae(seed=1, residual=True))
     )
@@ -126,7 +126,7 @@ def test_the_view_is_what_the_defence_does_next_with_the_same_noise(steps, layer
 
 
 @pytest.mark.parametrize("change", ["nothing", "always", "projected", "detector-only"])
-def test_ablations_are_seen_as_they_are(change):
+def test_the_view_of_an_ablation_is_exact_without_noise(change):
     """Of a defence without noise what is seen is exactly what it does."""
     changes = dict(always=dict(always=True), projected=dict(budget=BUDGET)) | {"detector-only": dict(denoiser=None)}
     parts = dict(
@@ -141,7 +141,7 @@ def test_ablations_are_seen_as_they_are(change):
     assert torch.allclose(denoised, verdict.denoised, atol=1e-5)
 
 
-def test_the_attackers_samples_are_his_own_and_have_the_latents_spread():
+def test_the_attackers_samples_have_the_same_distribution():
     defense, obs, rows = warm_defense(), normal(4, 11), torch.ones(4, dtype=torch.bool)
     view = view_defense(defense, rows, RandomStreams(0), 4_000)
     assert not torch.allclose(
@@ -155,7 +155,7 @@ def test_the_attackers_samples_are_his_own_and_have_the_latents_spread():
     assert torch.allclose(view.denoise(obs).std(0), denoised.std(0), rtol=0.4, atol=0.02)
 
 
-def test_the_mean_over_samples_has_a_gradient_that_varies_less():
+def test_the_gradient_of_the_mean_varies_less():
     """As 1 / K: a sixteenth, were the gradients of the samples independent of each other's rows."""
     victim, obs, defense = make_victim(), normal(4, 11), warm_defense()
     rows, streams = torch.ones(4, dtype=torch.bool), RandomStreams(0)
@@ -175,7 +175,7 @@ def test_the_mean_over_samples_has_a_gradient_that_varies_less():
     assert 1 / 32 < spread(16) / spread(1) < 1 / 8
 
 
-def test_a_defence_that_cannot_be_seen_through_is_refused():
+def test_a_defence_without_networks_is_refused():
     attack = AdaptiveAttack(OppositeAttack(make_victim(), BUDGET), **SMALL)
     with pytest.raises(ValueError, match="defense: its Identity is no GRU-VAE; give the attack a view of your own"):
         strike(attack, normal(4, 11), warm_defense(denoiser=Identity()))
@@ -205,7 +205,7 @@ def moved(victim: Victim, obs: Tensor, toy: Toy, seen: Tensor) -> Tensor:
 
 
 @pytest.mark.parametrize("radius, kept", [(0.06, 0.8), (0.08, 0.3)])
-def test_the_worst_point_is_found_whether_it_deceives_the_detector_or_the_denoiser(radius, kept):
+def test_the_worst_point_is_found_through_detector_or_denoiser(radius, kept):
     victim, obs, toy, most = a_box(radius, kept)
     found = strike(AdaptiveAttack(OppositeAttack(victim, Budget(EPSILON)), **SEARCH, view=see), obs, toy)
     assert torch.allclose(moved(victim, obs, toy, found), most, rtol=1e-3)
@@ -213,7 +213,7 @@ def test_the_worst_point_is_found_whether_it_deceives_the_detector_or_the_denois
     assert silent.any() and (kept < 0.5 or not silent.all())
 
 
-def test_the_stealthy_attack_finds_the_worst_point_that_rings_no_alarm():
+def test_the_stealthy_attack_finds_the_worst_undetected_point():
     victim, obs, toy, _ = a_box(0.06, 0.8)  # where more is to be had through the denoiser
     *_, most = a_box(0.06, 0.0)  # the same box, and nothing is to be had there
     found = strike(StealthyAttack(OppositeAttack(victim, Budget(EPSILON)), **SEARCH, view=see), obs, toy)
@@ -221,7 +221,7 @@ def test_the_stealthy_attack_finds_the_worst_point_that_rings_no_alarm():
     assert torch.allclose(moved(victim, obs, toy, found), most, rtol=1e-3)
 
 
-def test_it_is_never_weaker_than_the_attack_that_does_not_know_the_defence():
+def test_it_is_never_weaker_than_the_unaware_attack():
     for radius, kept in ((-1.0, 0.5), (0.06, 0.8), (0.09, 0.0), (inf, 0.0)):
         victim, obs, toy, _ = a_box(radius, kept)
         plain = OppositeAttack(victim, Budget(EPSILON), steps=20)
@@ -230,7 +230,7 @@ def test_it_is_never_weaker_than_the_attack_that_does_not_know_the_defence():
         assert (moved(victim, obs, toy, found) >= moved(victim, obs, toy, unaware)).all()
 
 
-def test_a_denoiser_without_a_gradient_stops_the_printed_attacks_alone():
+def test_a_denoiser_without_gradient_stops_only_the_printed_attacks():
     """It puts out the truth, whatever it sees: what is to be gained is under the detector's nose."""
     victim, obs, toy, most = a_box(0.06, 0.0)
     plain = OppositeAttack(victim, Budget(EPSILON), steps=80)
@@ -241,7 +241,7 @@ def test_a_denoiser_without_a_gradient_stops_the_printed_attacks_alone():
     assert torch.allclose(moved(victim, obs, toy, found), most, rtol=1e-3)
 
 
-def test_noise_stops_the_printed_attack_alone():
+def test_noise_stops_only_the_printed_attack():
     """What is denoised is noisy, and always shown; which way the action should go, only the mean tells."""
     victim, obs = Quadratic(), normal(40, 6)
     toy = Toy(obs, -1.0, lambda seen, noise: seen + 2 * noise)
@@ -258,7 +258,7 @@ def test_noise_stops_the_printed_attack_alone():
     assert share_found(AdaptiveAttack(plain, steps=20, samples=64, fresh=64, view=see)) > 0.9
 
 
-def test_a_search_without_gradients_shows_where_they_are_masked():
+def test_the_gradient_free_search_reveals_masked_gradients():
     """A denoiser that rounds, and turns every other perturbation round: no gradient, and no use of the plain attack."""
     victim, weight = linear_victim()
     obs, turn = normal(20, 6), torch.tensor([1.0, -1.0] * 3)
@@ -271,13 +271,13 @@ def test_a_search_without_gradients_shows_where_they_are_masked():
     assert moved(victim, obs, toy, free).mean() > 0.95 * most
 
 
-def test_the_search_without_gradients_comes_near_the_worst_point():
+def test_the_gradient_free_search_comes_near_the_worst_point():
     victim, obs, toy, most = a_box(0.08, 0.3)
     found = strike(GradientFreeAttack(OppositeAttack(victim, Budget(EPSILON)), samples=1, fresh=1, view=see), obs, toy)
     assert (moved(victim, obs, toy, found) / most).mean() > 0.85
 
 
-def test_damage_is_that_of_the_attack_that_is_given():
+def test_damage_is_defined_by_the_given_attack():
     """The enchanting attack's is the distance to the planner's action: here 0, which a point in the box reaches."""
     victim, weight = linear_victim()
     victim.action_low.fill_(-1), victim.action_high.fill_(1)
@@ -345,7 +345,7 @@ def test_an_episodes_attack_depends_on_its_own_seed_alone(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_only_what_is_wanted_is_perturbed_and_as_it_would_be_with_the_others(kind):
+def test_only_wanted_rows_are_perturbed_independently_of_the_others(kind):
     obs, defense, attack = normal(4, 11), warm_defense(), made(kind, QFunctionAttack(make_victim(), BUDGET, steps=3))
     world = lambda *wanted: World(np.array(wanted), defense=defense)  # noqa: E731
     attack.reset(range(4))
@@ -361,7 +361,7 @@ def test_only_what_is_wanted_is_perturbed_and_as_it_would_be_with_the_others(kin
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_defences_memory_and_noise_are_left_as_they_are(kind):
+def test_the_memory_and_noise_of_the_defence_are_unchanged(kind):
     defense, obs = warm_defense(), normal(4, 11)
     before = copy.deepcopy(defense)
     strike(made(kind, OppositeAttack(make_victim(), BUDGET, steps=3)), obs, defense)
@@ -370,7 +370,7 @@ def test_the_defences_memory_and_noise_are_left_as_they_are(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_episodes_are_attacked_in_lockstep(kind):
+def test_episodes_in_lockstep_equal_episodes_alone(kind):
     """And an episode is the same whoever runs beside it."""
     victim = make_victim(seed=8)
 
@@ -384,7 +384,7 @@ def test_episodes_are_attacked_in_lockstep(kind):
     assert np.allclose(three.perturbed[:, 1:2], one.perturbed, atol=1e-3)
 
 
-def test_numbers_that_make_no_attack_are_refused():
+def test_arguments_out_of_range_are_refused():
     plain = OppositeAttack(make_victim(), Budget(0.1, 2))
     for kind, wrong, message in (
         (AdaptiveAttack, dict(samples=0), "samples must be a whole number of at least 1, not 0"),
@@ -415,7 +415,7 @@ def test_a_coupled_perturbation_keeps_its_pace(pace):
     assert longest > min(EPSILON, 4 * pace * EPSILON)  # it gets somewhere
 
 
-def test_where_it_was_not_wanted_it_starts_from_nothing_again():
+def test_an_unwanted_step_starts_the_drift_again():
     attack, obs = CoupledAttack(OppositeAttack(make_victim(), BUDGET, steps=3), 0.5, **SMALL), normal(4, 11)
     defense = warm_defense()
     attack.reset(range(4))
@@ -426,7 +426,7 @@ def test_where_it_was_not_wanted_it_starts_from_nothing_again():
     assert (size[1::2] <= 0.5 * BUDGET.epsilon + 1e-6).all() and (size[::2] > 0.5 * BUDGET.epsilon + 1e-6).any()
 
 
-def test_a_pace_of_two_couples_nothing():
+def test_a_pace_of_two_is_no_condition():
     defense, plain = warm_defense(), OppositeAttack(make_victim(), BUDGET, steps=3)
     free, coupled = AdaptiveAttack(plain, **SMALL), CoupledAttack(copy.copy(plain), 2.0, **SMALL)
     free.reset(range(4)), coupled.reset(range(4))
@@ -439,7 +439,7 @@ def test_a_pace_of_two_couples_nothing():
 
 
 @pytest.mark.parametrize("error, raised", [(0.0, 0.5), (3 * EPSILON, -0.5)])
-def test_the_two_forms_move_the_score_apart_where_the_truth_is_reconstructed_well(error, raised):
+def test_the_two_printed_forms_move_the_score_apart(error, raised):
     """det(o_hat) = o + error + (o_hat - o) / 2, the error in one component.
 
     To raise ||det(o_hat) - o|| is to go away from o, or, if the error is larger than the ball, to go after it: towards
@@ -460,13 +460,13 @@ def test_the_two_forms_move_the_score_apart_where_the_truth_is_reconstructed_wel
     assert (score(text) < low).all()
 
 
-def test_without_l_det_the_two_forms_are_one():
+def test_without_l_det_the_two_forms_are_equal():
     defense, obs, plain = warm_defense(), normal(4, 11), OppositeAttack(make_victim(), BUDGET, steps=3)
     text, appendix = (strike(PrintedAttack(plain, form, weight=0), obs, defense) for form in ("text", "appendix"))
     assert torch.equal(text, appendix)
 
 
-def test_the_printed_opposite_attack_goes_away_from_the_denoised_action():
+def test_the_printed_opposite_attack_leaves_the_denoised_action():
     """A denoiser that adds 5 leaves both ends equally far; seen from pi(o), one of them would be farther."""
     victim, weight = linear_victim()
     obs = normal(40, 6)

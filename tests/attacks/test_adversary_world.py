@@ -51,7 +51,7 @@ def make(timing: str = "always", defense=None, **options) -> tuple:
 
 @pytest.mark.parametrize("defense", [None, True])
 @pytest.mark.parametrize("timing", ["always", "vulnerable", "random"])
-def test_rewards_are_the_victims_negated_under_the_same_perturbations(timing, defense):
+def test_rewards_are_the_negated_rewards_of_the_victim(timing, defense):
     """A rollout with the same seeds, timing and defence; the timing lets some observations through, and not others."""
     env, victim, parts = make(timing, defense)
     obs, rewards, dones, _, seeds = play(env, actions().numpy())
@@ -64,7 +64,7 @@ def test_rewards_are_the_victims_negated_under_the_same_perturbations(timing, de
 
 
 @pytest.mark.parametrize("defense", [None, True])
-def test_the_next_episode_in_a_world_is_one_that_began_alone(defense):
+def test_the_next_episode_equals_one_that_began_alone(defense):
     """A fall ends an episode; another begins with a fresh seed, and nothing in it is left of the one before."""
     env, victim, _ = make(defense=defense)
     script = actions(200)
@@ -87,7 +87,7 @@ def test_the_next_episode_in_a_world_is_one_that_began_alone(defense):
     assert np.allclose(rewards[begin : begin + alone.lengths[0], 0], -alone.reward[: alone.lengths[0], 0], atol=1e-5)
 
 
-def test_a_fall_is_an_end_and_the_time_limit_a_truncation():
+def test_a_fall_ends_and_a_time_limit_truncates():
     env, victim, _ = make(steps=35)
     obs, _, dones, infos, _ = play(env, actions(120).numpy())
     age, kinds = np.zeros(N, dtype=int), set()
@@ -116,7 +116,7 @@ def test_a_fall_at_the_time_limit_is_an_end():
     assert dones[length - 1, 0] and infos[length - 1][0]["TimeLimit.truncated"] is False
 
 
-def test_the_same_seed_plays_the_same_and_no_reported_episode():
+def test_the_same_seed_gives_the_same_unreported_episodes():
     first, second, other = (make()[0] for _ in range(3))
     for env, seed in ((first, 3), (second, 3), (other, 4)):
         env.seed(seed)
@@ -136,14 +136,14 @@ def test_a_reset_begins_all_episodes_anew():
     assert env.observation_space.contains(again[0]) and env.action_space.shape == (11,)
 
 
-def test_a_training_that_diverges_is_stopped():
+def test_an_action_that_is_not_finite_is_refused():
     env, _, _ = make()
     env.reset()
     with pytest.raises(ValueError, match="NaN.*diverged"):
         env.step(np.full((N, 11), np.nan))
 
 
-def test_what_stable_baselines3_asks_of_the_worlds():
+def test_the_interface_of_stable_baselines3_works():
     env, _, _ = make()
     assert env.get_attr("render_mode") == [None] * N and env.env_is_wrapped(object) == [False] * N
     env.set_attr("mark", 5, indices=[1])

@@ -147,35 +147,35 @@ def test_observations_of_another_task_are_refused(attack):
 
 @ATTACKS
 @pytest.mark.parametrize("obs", [normal(11), normal(2, 1, 11), normal(2, 11).numpy(), "left", None])
-def test_what_is_no_batch_of_observations_is_refused(attack, obs):
+def test_observations_of_another_shape_are_refused(attack, obs):
     attack.reset(range(2))
     with pytest.raises(ValueError, match=r"obs must be a tensor \[N, obs_dim\]"):
         attack(obs, make_world_of(normal(2, 11)))
 
 
 @pytest.mark.parametrize("kind", [UniformNoise, GaussianNoise])
-def test_noise_of_another_scale_is_refused_at_the_first_call(kind):
+def test_noise_refuses_a_scale_of_another_length(kind):
     attack = kind(WIDE)
     attack.reset(range(2))
     with pytest.raises(ValueError, match="scale"):
         attack(normal(2, 11))
 
 
-def test_maps_of_another_task_are_refused_at_the_first_call():
+def test_linear_maps_of_another_task_are_refused():
     attack = OptimalAttack(LinearMaps(make_adversary(17), torch.zeros(2, 17, 18)), BUDGET)
     attack.reset(range(2))
     with pytest.raises(ValueError, match="adversary: it sees 17 numbers"):
         attack(normal(2, 11))
 
 
-def test_an_adversary_that_perturbs_too_few_is_refused_at_the_first_call():
+def test_an_adversary_with_too_few_outputs_is_refused():
     attack = OptimalAttack(lambda obs: obs[:, :5], BUDGET)
     attack.reset(range(2))
     with pytest.raises(ValueError, match="adversary: it perturbs 5 numbers of 11"):
         attack(normal(2, 11))
 
 
-def test_every_reset_brings_the_check_back():
+def test_the_check_is_repeated_after_every_reset():
     attack = OppositeAttack(VICTIM, BUDGET, steps=1)
     for _ in range(2):
         attack.reset(range(2))
@@ -192,7 +192,7 @@ def test_a_planner_needs_a_simulator():
 
 
 @pytest.mark.parametrize(("unwrap", "error"), [(False, ResetNeeded), (True, ValueError)])
-def test_an_attacked_environment_must_be_reset_before_its_first_step(unwrap, error):
+def test_an_attacked_environment_must_be_reset_first(unwrap, error):
     env = gymnasium.make("Hopper-v5")
     attacked = AttackedObservations(env.unwrapped if unwrap else env, OppositeAttack(VICTIM, BUDGET))
     with pytest.raises(error, match="reset"):

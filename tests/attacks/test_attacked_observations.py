@@ -37,7 +37,7 @@ def episode(env, steps: int = 30, **reset) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 @pytest.mark.parametrize("timing", [None, Random(0.5)])
-def test_it_is_the_perturbation_of_rollout(timing):
+def test_perturbations_equal_those_of_rollout(timing):
     seen, true, when = episode(attacked(timing), seed=7)
     expected = rollout(VICTIM, TASK, [7], attack=OppositeAttack(VICTIM, BUDGET, steps=4), timing=timing, steps=30)
     assert np.array_equal(when, expected.attacked[:, 0]) and when.any()
@@ -46,7 +46,7 @@ def test_it_is_the_perturbation_of_rollout(timing):
 
 
 @pytest.mark.parametrize("budget", [BUDGET, Budget(0.2, 2, torch.linspace(0.5, 2, 8))])
-def test_nothing_leaves_the_ball_and_what_is_not_attacked_is_the_truth(budget):
+def test_attacked_observations_stay_in_the_ball_and_others_are_true(budget):
     seen, true, when = episode(attacked(Random(0.5), budget), seed=1)
     size = budget.size(torch.from_numpy(true), torch.from_numpy(seen)).numpy()
     assert 0 < when.mean() < 1
@@ -54,7 +54,7 @@ def test_nothing_leaves_the_ball_and_what_is_not_attacked_is_the_truth(budget):
     assert np.array_equal(seen[~when], true[~when])
 
 
-def test_the_world_goes_its_way_whatever_is_shown():
+def test_the_world_does_not_depend_on_the_attack():
     """The same actions lead to the same true observations, rewards and info, attacked or not."""
     plain, env = gymnasium.make("Swimmer-v5"), attacked()
     obs, info = plain.reset(seed=3)
@@ -67,7 +67,7 @@ def test_the_world_goes_its_way_whatever_is_shown():
         assert np.array_equal(told["true_obs"], obs) and not np.array_equal(seen, obs)
 
 
-def test_episodes_without_a_seed_follow_from_the_last_that_had_one():
+def test_episodes_without_a_seed_follow_from_the_last_seed():
     first, second = (attacked(Random(0.5)) for _ in range(2))
     runs = []
     for env in (first, second):
@@ -77,7 +77,7 @@ def test_episodes_without_a_seed_follow_from_the_last_that_had_one():
     assert not np.array_equal(runs[0][1][0], runs[0][2][0])
 
 
-def test_it_is_a_gymnasium_environment_that_tells_that_it_is_wrapped():
+def test_it_is_a_gymnasium_environment_with_a_wrapper_spec():
     env = AttackedObservations(gymnasium.make("Swimmer-v5"), UniformNoise(BUDGET))
     check_env(env, skip_render_check=True)
     assert env.observation_space == env.unwrapped.observation_space and env.observation_space.contains(env.reset()[0])

@@ -66,7 +66,7 @@ def test_the_optimal_attack_stays_in_the_ball(case, size, linear):
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_the_opposite_attack_on_every_task(name):
+def test_the_opposite_attack_works_on_every_task(name):
     task = TASKS[name]
     victim, obs = make_victim(task), normal(4, task.obs_dim)
     perturbed = attack_once(OppositeAttack(victim, Budget(task.epsilon), steps=5), obs)
@@ -102,7 +102,7 @@ def test_on_a_linear_policy_the_known_optimum_is_found(gaussian, norm):
         assert torch.allclose(opposite_objective(victim, obs)(perturbed), (moved / 0.5).square(), rtol=1e-3)
 
 
-def test_the_objective_weighs_actions_by_the_policys_own_spread():
+def test_the_objective_weighs_actions_by_the_inverse_variance():
     victim, obs = make_victim(gaussian=True), normal(5, 11)
     victim.action_std.copy_(torch.tensor([0.1, 1.0, 10.0]))
     perturbed = obs + 0.1
@@ -155,7 +155,7 @@ def test_attacks_declare_what_they_know():
 
 
 @pytest.mark.parametrize("norm", NORMS)
-def test_the_q_attack_finds_the_worst_action_of_a_quadratic_q(norm):
+def test_the_q_attack_finds_the_worst_action(norm):
     """The end of the reachable interval that is farther from the best action."""
     victim, obs = Quadratic(), normal(20, 6)
     dual = {float("inf"): 1, 2: 2, 1: float("inf")}[norm]
@@ -177,7 +177,7 @@ def test_the_q_attack_asks_q_about_the_true_observation():
     assert (objective(right) >= objective(one_step) - 1e-5).all()
 
 
-def test_a_gaussian_policy_beyond_its_bounds_can_still_be_attacked():
+def test_a_clipped_gaussian_policy_can_still_be_attacked():
     victim, obs = Quadratic(), normal(20, 6)
     victim.action_high.fill_(-0.5)  # below most means: clipping would hide the gradient
     victim.action_low.fill_(-0.6)
@@ -231,7 +231,7 @@ def test_gradients_by_hand_are_those_of_autograd(dim, gaussian, activation, plai
 
 
 @pytest.mark.parametrize("kind", [OppositeAttack, QFunctionAttack])
-def test_half_the_precision_finds_nearly_the_same_maximum(kind):
+def test_bfloat16_finds_nearly_the_same_maximum(kind):
     victim, obs = make_victim(hidden=64), normal(500, 11)
     objective = dict(zip((OppositeAttack, QFunctionAttack), (opposite_objective, q_objective), strict=True))[kind]
     before = objective(victim, obs)(obs).mean()
@@ -243,7 +243,7 @@ def test_half_the_precision_finds_nearly_the_same_maximum(kind):
 
 
 @pytest.mark.parametrize("kind", [OppositeAttack, QFunctionAttack])
-def test_only_what_is_wanted_is_perturbed_and_as_it_would_be_with_the_others(kind):
+def test_only_wanted_rows_are_perturbed_independently_of_the_others(kind):
     obs, attack = normal(4, 11), kind(make_victim(), BUDGET, steps=3, restarts=2)
     attack.reset(range(4))
     first, second = attack(obs), attack(obs)
@@ -254,12 +254,12 @@ def test_only_what_is_wanted_is_perturbed_and_as_it_would_be_with_the_others(kin
     assert torch.allclose(some[::2], second[::2], atol=1e-6) and not torch.allclose(first, second)
 
 
-def test_a_victim_without_a_critic_cannot_be_asked():
+def test_a_victim_without_a_critic_is_refused():
     with pytest.raises(ValueError, match="no Q-function"):
         attack_once(QFunctionAttack(make_victim(gaussian=True), BUDGET), normal(2, 11))
 
 
-def test_the_enchanting_attack_brings_the_policy_to_the_planners_action():
+def test_the_enchanting_attack_reaches_the_planned_action():
     """As near as the ball lets it, on a linear policy."""
     victim, obs = Quadratic(), normal(20, 6)
     world = World(np.ones(20, dtype=bool), Simulator("Hopper-v5", range(20)))
@@ -272,7 +272,7 @@ def test_the_enchanting_attack_brings_the_policy_to_the_planners_action():
     assert torch.allclose(found, nearest, atol=3e-3)
 
 
-def test_the_optimal_attack_adds_what_its_adversary_says_in_units_of_the_ball():
+def test_the_optimal_attack_scales_the_adversary_by_the_ball():
     """Half the radius up in one observation; and a corner that is outside an l2 ball is brought to its surface."""
     adversary, scale = Victim([3, 3], gaussian=True), torch.tensor([1.0, 2.0, 4.0])
     adversary.actor[0].weight.zero_()

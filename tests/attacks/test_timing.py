@@ -5,7 +5,7 @@ from builders import make_victim, normal
 from detden_lite.attacks.timing import After, Always, Random, Vulnerable
 
 
-def test_always():
+def test_always_attacks_everyone():
     timing = Always()
     timing.reset(range(5))
     assert timing(normal(5, 11)).tolist() == [True] * 5
@@ -41,7 +41,7 @@ def test_random_belongs_to_the_episode():
     assert all(together(torch.zeros(3, 11))[1] == alone(torch.zeros(1, 11))[0] for _ in range(20))
 
 
-def test_after_attacks_from_its_step_on_and_counts_anew_for_new_episodes():
+def test_after_attacks_from_its_step_on_in_every_episode():
     timing = After(2)
     for _ in range(2):
         timing.reset(range(3))

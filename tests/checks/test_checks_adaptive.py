@@ -54,7 +54,7 @@ def test_other_ways_to_say_the_same_pass():
         (lambda *given: hidden(*given).detach(), "no gradient"),
     ],
 )
-def test_a_wrong_l_det_is_told(mistake, says):
+def test_a_wrong_l_det_is_explained(mistake, says):
     with pytest.raises(AssertionError, match=says):
         checks.check_hidden(mistake)
 
@@ -75,7 +75,7 @@ def test_a_wrong_l_det_is_told(mistake, says):
         (lambda f, x, z: f(x, z).mean(0), "one sample"),
     ],
 )
-def test_a_wrong_expectation_is_told(mistake, says):
+def test_a_wrong_expectation_is_explained(mistake, says):
     with pytest.raises(AssertionError, match=says):
         checks.check_eot_gradient(mistake)
 
@@ -92,6 +92,6 @@ def test_a_wrong_expectation_is_told(mistake, says):
         (lambda defense, x: defense(x).detach() + 2 * (x - x.detach()), "should be 1"),
     ],
 )
-def test_a_defence_that_is_not_gone_through_is_told(mistake, says):
+def test_a_wrong_straight_through_is_explained(mistake, says):
     with pytest.raises(AssertionError, match=says):
         checks.check_straight_through(mistake)

@@ -9,7 +9,7 @@ def length(delta):
 
 
 class TestProject:
-    def test_right(self):
+    def test_the_solution_passes(self):
         def right(obs, perturbed, epsilon):
             delta = perturbed - obs
             return obs + delta * (epsilon / length(delta).clamp_min(1e-12)).clamp(max=1)
@@ -28,13 +28,13 @@ class TestProject:
         ],
         ids=["always to the border", "clipped", "no centre", "one length for all", "0/0", "unchanged"],
     )
-    def test_wrong(self, wrong, hint):
+    def test_a_mistake_is_explained(self, wrong, hint):
         with pytest.raises(AssertionError, match=hint):
             attacks.check_project_l2(wrong)
 
 
 class TestOpposite:
-    def test_right(self):
+    def test_the_solution_passes(self):
         attacks.check_opposite(lambda mean, seen, std: ((seen - mean) / std).square().sum(-1))
 
     @pytest.mark.parametrize(
@@ -49,20 +49,20 @@ class TestOpposite:
         ],
         ids=["times Sigma", "std for variance", "no Sigma", "root", "mean", "sum over the batch"],
     )
-    def test_wrong(self, wrong, hint):
+    def test_a_mistake_is_explained(self, wrong, hint):
         with pytest.raises(AssertionError, match=hint):
             attacks.check_opposite(wrong)
 
 
 class TestFgsm:
-    def test_right(self):
+    def test_the_solution_passes(self):
         def right(gain, obs, start, epsilon):
             gradient = 2 * start @ gain.T @ gain
             return obs + (start + epsilon * gradient.sign()).clamp(-epsilon, epsilon)
 
         attacks.check_fgsm(right)
 
-    def test_right_with_autograd(self):
+    def test_a_solution_with_autograd_passes(self):
         def right(gain, obs, start, epsilon):
             x = (obs + start).requires_grad_()
             ((x - obs) @ gain.T).square().sum().backward()
@@ -83,13 +83,13 @@ class TestFgsm:
         ],
         ids=["unprojected", "from the centre", "descent", "no sign", "clipped around 0", "action itself", "start only"],
     )
-    def test_wrong(self, wrong, hint):
+    def test_a_mistake_is_explained(self, wrong, hint):
         with pytest.raises(AssertionError, match=hint):
             attacks.check_fgsm(wrong)
 
 
 class TestVulnerable:
-    def test_right(self):
+    def test_the_solution_passes(self):
         attacks.check_vulnerable(lambda policy, q, obs, c_vul: q(obs, policy(obs)) < c_vul)
 
     @pytest.mark.parametrize(
@@ -104,6 +104,6 @@ class TestVulnerable:
         ],
         ids=["above", "at the threshold", "no action", "obs for action", "averaged", "numbers"],
     )
-    def test_wrong(self, wrong, hint):
+    def test_a_mistake_is_explained(self, wrong, hint):
         with pytest.raises(AssertionError, match=hint):
             attacks.check_vulnerable(wrong)

@@ -60,7 +60,7 @@ def test_another_counterexample_passes_too():
         (lambda gamma: (counterexample(gamma)[0], None), "gives None"),
     ],
 )
-def test_a_wrong_counterexample_is_told(mistake, says):
+def test_a_wrong_counterexample_is_explained(mistake, says):
     with pytest.raises(AssertionError, match=says):
         checks.check_counterexample(mistake)
 
@@ -92,7 +92,7 @@ def _changed(exact=lambda d: torch.erf(d / 8**0.5), pinsker=lambda d: d / 2):
         (_changed(pinsker=lambda d: (d / 2).clamp(max=1)), "do not clip it"),
     ],
 )
-def test_a_wrong_total_variation_is_told(mistake, says):
+def test_a_wrong_total_variation_is_explained(mistake, says):
     with pytest.raises(AssertionError, match=says):
         checks.check_exact_and_pinsker(mistake)
 
@@ -113,6 +113,6 @@ def test_a_wrong_total_variation_is_told(mistake, says):
         (dict(kl=0.1), "should be 0.0965"),
     ],
 )
-def test_a_wrong_step_is_told(changed, says):
+def test_a_wrong_step_is_explained(changed, says):
     with pytest.raises(AssertionError, match=says):
         checks.check_false_step(lambda: false_step(**changed))

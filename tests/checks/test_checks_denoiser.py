@@ -89,6 +89,6 @@ def _replaced_in_place(obs, denoised, alarm):
         (checks.check_mae_attacked, lambda d, o, a, m: (np.abs(d - o) * (a & m)[..., None]).mean(), "divided"),
     ],
 )
-def test_a_mistake_is_told(check, mistake, says):
+def test_a_mistake_is_explained(check, mistake, says):
     with pytest.raises(AssertionError, match=says):
         check(mistake)

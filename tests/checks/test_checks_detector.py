@@ -78,6 +78,6 @@ def _by_columns(attacked, alarm):
         (checks.check_scores, lambda attacked, alarm: 0.7, "three numbers"),
     ],
 )
-def test_a_mistake_is_told(check, mistake, says):
+def test_a_mistake_is_explained(check, mistake, says):
     with pytest.raises(AssertionError, match=says):
         check(mistake)

@@ -12,37 +12,37 @@ class TestReturnsToGo:
             out[t] = later = reward[t] + gamma * later
         return out
 
-    def test_right(self):
+    def test_the_solution_passes(self):
         mdp.check_returns_to_go(self.right)
 
-    def test_without_the_step_s_own_reward(self):
+    def test_a_missing_own_reward_is_explained(self):
         with pytest.raises(AssertionError, match="reward of the step itself"):
             mdp.check_returns_to_go(lambda r, gamma: gamma * np.append(self.right(r, gamma)[1:], 0))
 
-    def test_discounted_from_the_start_of_the_episode(self):
+    def test_discounting_from_the_start_is_explained(self):
         def wrong(reward, gamma):
             return np.cumsum((reward * gamma ** np.arange(len(reward)))[::-1])[::-1]
 
         with pytest.raises(AssertionError, match="counts from step t"):
             mdp.check_returns_to_go(wrong)
 
-    def test_without_gamma(self):
+    def test_a_missing_gamma_is_explained(self):
         with pytest.raises(AssertionError, match="gamma is missing"):
             mdp.check_returns_to_go(lambda reward, gamma: np.cumsum(reward[::-1])[::-1])
 
-    def test_only_the_first_return(self):
+    def test_a_single_return_is_explained(self):
         with pytest.raises(AssertionError, match="gives one number"):
             mdp.check_returns_to_go(lambda r, gamma: self.right(r, gamma)[0])
 
-    def test_summed_over_the_past(self):
+    def test_a_sum_over_the_past_is_explained(self):
         with pytest.raises(AssertionError, match="what came before"):
             mdp.check_returns_to_go(lambda r, gamma: np.cumsum(r * gamma ** np.arange(len(r))))
 
-    def test_left_in_reversed_order(self):
+    def test_reversed_order_is_explained(self):
         with pytest.raises(AssertionError, match="order is reversed"):
             mdp.check_returns_to_go(lambda r, gamma: self.right(r, gamma)[::-1])
 
-    def test_in_place(self):
+    def test_work_in_place_is_explained(self):
         def wrong(reward, gamma):
             for t in reversed(range(len(reward) - 1)):
                 reward[t] += gamma * reward[t + 1]
@@ -53,7 +53,7 @@ class TestReturnsToGo:
 
 
 class TestReturnsAndLengths:
-    def test_right(self):
+    def test_the_solution_passes(self):
         def right(reward, terminated):
             mask = np.ones_like(terminated)
             mask[1:] = ~terminated[:-1]
@@ -73,11 +73,11 @@ class TestReturnsAndLengths:
         ],
         ids=["last reward lost", "no mask", "all stop with the first"],
     )
-    def test_wrong_mask(self, mask, hint):
+    def test_a_wrong_mask_is_explained(self, mask, hint):
         with pytest.raises(AssertionError, match=hint):
             mdp.check_returns_and_lengths(lambda r, t: ((r * mask(t)).sum(0), mask(t).sum(0)))
 
-    def test_right_returns_with_wrong_lengths(self):
+    def test_wrong_lengths_are_explained(self):
         def wrong(reward, terminated):
             mask = np.vstack([[True] * reward.shape[1], ~terminated[:-1]])
             return (reward * mask).sum(0), (~terminated).sum(0)
@@ -87,7 +87,7 @@ class TestReturnsAndLengths:
 
 
 class TestChoose:
-    def test_right(self):
+    def test_the_solution_passes(self):
         def right(screening, selection, report, keep):
             short = np.argsort(-screening)[:keep]
             best = short[selection[short].mean(1).argmax()]
@@ -95,7 +95,7 @@ class TestChoose:
 
         mdp.check_choose(right)
 
-    def test_without_the_short_list(self):
+    def test_a_missing_short_list_is_explained(self):
         def wrong(screening, selection, report, keep):
             best = selection.mean(1).argmax()
             return best, report[best].mean()
@@ -103,7 +103,7 @@ class TestChoose:
         with pytest.raises(AssertionError, match="selection does not look at it"):
             mdp.check_choose(wrong)
 
-    def test_chosen_in_the_report(self):
+    def test_choosing_in_the_report_is_explained(self):
         def wrong(screening, selection, report, keep):
             best = report.mean(1).argmax()
             return best, report[best].mean()
@@ -111,7 +111,7 @@ class TestChoose:
         with pytest.raises(AssertionError, match="cannot be used to report"):
             mdp.check_choose(wrong)
 
-    def test_place_in_the_short_list_for_index(self):
+    def test_a_place_for_an_index_is_explained(self):
         def wrong(screening, selection, report, keep):
             short = np.argsort(-screening)[:keep]
             best = selection[short].mean(1).argmax()
@@ -120,7 +120,7 @@ class TestChoose:
         with pytest.raises(AssertionError, match="short list"):
             mdp.check_choose(wrong)
 
-    def test_reporting_what_it_was_chosen_by(self):
+    def test_reporting_the_selection_score_is_explained(self):
         with pytest.raises(AssertionError, match="biased upwards"):
             mdp.check_choose(lambda screening, selection, report, keep: (1, selection[1].mean()))
 
@@ -131,14 +131,14 @@ class TestInterval:
         means = values[rng.integers(len(values), size=(resamples, len(values)))].mean(1)
         return tuple(np.quantile(means, [0.025, 0.975]))
 
-    def test_right(self):
+    def test_the_solution_passes(self):
         mdp.check_interval(self.right)
 
-    def test_quantiles_of_the_values(self):
+    def test_quantiles_of_the_values_are_explained(self):
         with pytest.raises(AssertionError, match="values themselves spread"):
             mdp.check_interval(lambda values, rng, n: tuple(np.quantile(values, [0.025, 0.975])))
 
-    def test_drawn_without_replacement(self):
+    def test_missing_replacement_is_explained(self):
         def wrong(values, rng, resamples):
             means = [rng.permutation(values).mean() for _ in range(resamples)]
             return tuple(np.quantile(means, [0.025, 0.975]))
@@ -146,7 +146,7 @@ class TestInterval:
         with pytest.raises(AssertionError, match="with replacement"):
             mdp.check_interval(wrong)
 
-    def test_resamples_of_another_size(self):
+    def test_resamples_of_another_size_are_explained(self):
         def wrong(values, rng, resamples):
             means = [rng.choice(values, 20).mean() for _ in range(resamples)]
             return tuple(np.quantile(means, [0.025, 0.975]))
@@ -154,7 +154,7 @@ class TestInterval:
         with pytest.raises(AssertionError, match="as many values"):
             mdp.check_interval(wrong)
 
-    def test_a_bound_on_one_side_too_few(self):
+    def test_an_interval_of_90_percent_is_explained(self):
         def wrong(values, rng, resamples):
             means = [rng.choice(values, len(values)).mean() for _ in range(resamples)]
             return tuple(np.quantile(means, [0.05, 0.95]))
@@ -162,6 +162,6 @@ class TestInterval:
         with pytest.raises(AssertionError, match="2.5 %"):
             mdp.check_interval(wrong)
 
-    def test_random_numbers_from_elsewhere(self):
+    def test_random_numbers_from_elsewhere_are_explained(self):
         with pytest.raises(AssertionError, match="same rng"):
             mdp.check_interval(lambda values, rng, n: self.right(values, np.random.default_rng(), n))

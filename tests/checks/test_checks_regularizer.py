@@ -56,7 +56,7 @@ def test_other_ways_to_say_the_same_pass():
         (lambda a, b, s: ((a - b) / s).square(), "shape"),
     ],
 )
-def test_a_wrong_r_is_told(mistake, says):
+def test_a_wrong_r_is_explained(mistake, says):
     with pytest.raises(AssertionError, match=says):
         checks.check_r_ppo(mistake)
 
@@ -84,7 +84,7 @@ def test_a_wrong_r_is_told(mistake, says):
         (lambda m, true, seen: dict(elbo=2), "should be"),
     ],
 )
-def test_a_wrong_loss_is_told(changed, says):
+def test_a_wrong_loss_is_explained(changed, says):
     names = ("model", "regularizer", "true", "perturbed", "mask", "noise", "beta", "lam")
 
     def mistake(*arguments):
@@ -103,7 +103,7 @@ def test_a_wrong_loss_is_told(changed, says):
         (lambda *given: training_loss(*given).expand(2), "shape"),
     ],
 )
-def test_a_loss_that_cannot_be_trained_with_is_told(mistake, says):
+def test_a_loss_without_a_gradient_is_explained(mistake, says):
     with pytest.raises(AssertionError, match=says):
         checks.check_training_loss(mistake)
 
@@ -121,6 +121,6 @@ def test_a_loss_that_cannot_be_trained_with_is_told(mistake, says):
         (lambda a, d: survives(a, d).clamp_min(0), "do not clip"),
     ],
 )
-def test_a_wrong_share_is_told(mistake, says):
+def test_a_wrong_share_is_explained(mistake, says):
     with pytest.raises(AssertionError, match=says):
         checks.check_survives(mistake)

@@ -64,7 +64,7 @@ def _ends(ratios, tail=0.025):
         (lambda d, c, i: (d.mean() / c.mean(), *_ends(d[i].mean(1) / c[i[::-1]].mean(1))), "it should be"),
     ],
 )
-def test_a_wrong_share_is_told(mistake, says):
+def test_a_wrong_share_is_explained(mistake, says):
     with pytest.raises(AssertionError, match=says):
         checks.check_kept_share(mistake)
 
@@ -83,7 +83,7 @@ def test_a_wrong_share_is_told(mistake, says):
         (lambda chosen, shown: shown[chosen.mean(1).argmin()], "shape"),
     ],
 )
-def test_a_wrong_worst_case_is_told(mistake, says):
+def test_a_wrong_worst_case_is_explained(mistake, says):
     with pytest.raises(AssertionError, match=says):
         checks.check_worst_elsewhere(mistake)
 
@@ -111,7 +111,7 @@ def test_the_chapters_own_definition_of_f1_passes():
         (lambda r, m, f: f1(r, m, f) + 0.01, "it should be"),
     ],
 )
-def test_a_wrong_f1_is_told(mistake, says):
+def test_a_wrong_f1_is_explained(mistake, says):
     with pytest.raises(AssertionError, match=says):
         checks.check_f1(mistake)
 
@@ -163,6 +163,6 @@ def _others_wrong(policy, obs, denoised):
         (_with(lambda moved: moved.norm(dim=-1)), "shape"),
     ],
 )
-def test_a_wrong_sensitivity_is_told(mistake, says):
+def test_a_wrong_sensitivity_is_explained(mistake, says):
     with pytest.raises(AssertionError, match=says):
         checks.check_felt(mistake)

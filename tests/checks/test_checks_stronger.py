@@ -8,7 +8,7 @@ from detden_lite.checks import stronger
 
 
 class TestQObjective:
-    def test_right(self):
+    def test_the_solution_passes(self):
         stronger.check_q_objective(lambda policy, q, obs, perturbed: -q(obs, policy(perturbed)))
 
     @pytest.mark.parametrize(
@@ -26,7 +26,7 @@ class TestQObjective:
         ],
         ids=["wrong argument", "sign", "swapped", "clean", "loss", "mean", "detached", "leak", "no policy"],
     )
-    def test_wrong(self, wrong, hint):
+    def test_a_mistake_is_explained(self, wrong, hint):
         with pytest.raises(AssertionError, match=hint):
             stronger.check_q_objective(wrong)
 
@@ -41,7 +41,7 @@ def weighted(weights):
 
 
 class TestRefit:
-    def test_right(self):
+    def test_the_solution_passes(self):
         stronger.check_refit(weighted(lambda n: np.arange(n, 0, -1) / np.arange(n + 1).sum()))
 
     @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ class TestRefit:
             "always by 6",
         ],
     )
-    def test_wrong(self, wrong, hint):
+    def test_a_mistake_is_explained(self, wrong, hint):
         with pytest.raises(AssertionError, match=hint):
             stronger.check_refit(wrong)
 
@@ -94,7 +94,7 @@ def asked_twice(output, obs, struck, policy, world, epsilon):
 
 
 class TestAdversaryStep:
-    def test_right(self):
+    def test_the_solution_passes(self):
         stronger.check_adversary_step(step())
 
     @pytest.mark.parametrize(
@@ -115,6 +115,6 @@ class TestAdversaryStep:
         ids=["sign", "unclipped", "clipped late", "clipped to the ball", "tanh", "always", "never", "inverse", "no obs",
              "twice", "no policy"],
     )  # fmt: skip
-    def test_wrong(self, wrong, hint):
+    def test_a_mistake_is_explained(self, wrong, hint):
         with pytest.raises(AssertionError, match=hint):
             stronger.check_adversary_step(wrong)

@@ -32,7 +32,7 @@ def test_the_best_elite_counts_most_and_the_worst_still_counts():
     assert weights[0] > 0.25
 
 
-def test_the_distribution_is_fitted_to_the_samples_of_the_lowest_returns():
+def test_the_distribution_is_fitted_to_the_lowest_returns():
     samples, returns = normal(5, 2, 3), torch.tensor([3.0, 1.0, 5.0, 2.0, 4.0])
     mean, std = fit(samples, returns, 2)
     (w1, w2), best, second = elite_weights(2), samples[1], samples[3]
@@ -41,7 +41,7 @@ def test_the_distribution_is_fitted_to_the_samples_of_the_lowest_returns():
     assert torch.equal(fit(samples, returns, 1)[0], best) and not fit(samples, returns, 1)[1].any()
 
 
-def test_each_map_perturbs_its_own_episode_as_an_adversary_of_one_layer_would():
+def test_each_map_equals_an_adversary_of_one_layer():
     normalizer = Victim([4, 4], gaussian=True)
     normalizer.obs_mean.fill_(0.5)
     normalizer.obs_std.fill_(2.0)
@@ -72,7 +72,7 @@ def test_the_best_constant_perturbation_is_found(tmp_path):
     assert found[-1] < found[0] and found[-1] == pytest.approx(-3.75, rel=0.05)
 
 
-def test_in_a_real_world_it_finds_what_harms_as_much_as_the_worst_constant(tmp_path):
+def test_it_harms_a_robot_like_the_worst_constant_perturbation(tmp_path):
     """The victim is linear and sees three observations; of constant perturbations all corners are tried."""
     torch.manual_seed(0)
     victim, budget, steps = Victim([11, 3], gaussian=True), Budget(0.5), 12
@@ -100,7 +100,7 @@ def test_in_a_real_world_it_finds_what_harms_as_much_as_the_worst_constant(tmp_p
     assert damage > 0.5 and clean.returns[0] - found > 0.98 * damage
 
 
-def test_the_normaliser_is_that_of_the_clean_observations(tmp_path):
+def test_the_normaliser_is_fitted_to_the_clean_observations(tmp_path):
     clean = CLEAN.copy()
     clean[:, 2] = 7.0  # one that never changes
     search(replace(RECIPE, generations=1), TOY, 0, tmp_path, clean, harm(normal(2, 4), torch.ones(4)))
@@ -113,7 +113,7 @@ def contents(folder):
     return {path.name: path.read_bytes() for path in (folder / "snapshots").iterdir()}
 
 
-def test_a_search_that_is_killed_and_resumed_is_one_that_never_stopped(tmp_path):
+def test_a_resumed_search_equals_an_uninterrupted_one(tmp_path):
     measure, asked = harm(normal(5, 4), normal(4)), []
 
     def failing(maps, generation):

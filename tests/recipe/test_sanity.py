@@ -25,7 +25,7 @@ def broken(found) -> set[str]:
     return {comparison.rule for comparison in found if not comparison.holds}
 
 
-def test_the_q_function_attack_on_the_shipped_hopper_is_sane(victims):
+def test_the_q_function_attack_obeys_every_rule(victims):
     found = check_attack(QFunctionAttack, *victims, HOPPER, EPISODES, steps=100)
     assert len(found) == 5 and broken(found) == set()
     by_rule = {comparison.rule: comparison for comparison in found}
@@ -81,6 +81,6 @@ def test_an_attack_with_a_mistake_breaks_a_rule(victims, attack, rules):
         ([1, 2, 3], [5, 6, 7], False, False),
     ],
 )
-def test_a_rule_is_broken_only_beyond_doubt_unless_it_must_win(weaker, stronger, must_win, holds):
+def test_a_rule_is_broken_only_by_a_clear_loss(weaker, stronger, must_win, holds):
     returns = np.array(weaker, dtype=float), np.array(stronger, dtype=float)
     assert RuleCheck("rule", "weaker", "stronger", returns, must_win).holds == holds
