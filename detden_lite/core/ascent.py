@@ -24,11 +24,12 @@ def ascend(
     restarts: int = 1,
     wanted: Tensor | None = None,
 ) -> Tensor:
-    """The perturbed observations in B(obs) with the largest objective that was met on the way.
+    """The perturbed observations in B(obs) with the largest value of the objective among all points visited.
 
     Args:
         objective: maps perturbed observations ``[n, obs_dim]`` to values ``[n]``, row by row. If it has a method
-            ``value_and_gradient`` (see ``detden_lite.gradients``) this is asked for the gradient, otherwise autograd.
+            ``value_and_gradient``, as an ``ActionObjective`` does, that gives the gradient, by hand; any other function
+            is differentiated by autograd (``detden_lite.core.gradients.value_and_gradient``), with the same result.
         obs: true observations ``[N, obs_dim]``.
         budget: the ball.
         streams: where random starts come from; None starts at ``obs`` itself, which is a stationary point of some
@@ -37,10 +38,18 @@ def ascend(
         step_size: length of a step in the budget's norm; by default 2.5 epsilon / steps, and epsilon for one step.
         restarts: how many starts are tried.
         wanted: which of the N rows to perturb, ``[N]`` bool; by default all. ``objective`` sees only these. All rows
-            draw their random starts, so that what is wanted changes nobody's.
+            use their random numbers, so that ``wanted`` does not change the others' starts.
 
     Returns:
-        ``[N, obs_dim]``, inside the ball. As the best point met is kept, row by row, more restarts are never weaker.
+        ``[N, obs_dim]``, inside the ball. As the best point is kept, row by row, more restarts are never weaker.
+
+    Raises:
+        ValueError: if ``steps`` or ``restarts`` is no whole number of at least 1.
+
+    Example:
+        >>> obs = torch.zeros(1, 3)
+        >>> ascend(lambda x: x @ torch.tensor([2.0, -1.0, 0.5]), obs, Budget(0.1), None, steps=1)
+        tensor([[ 0.1000, -0.1000,  0.1000]])
     """
     check_whole(1, steps=steps, restarts=restarts)
     if step_size is None:
@@ -73,10 +82,17 @@ def _climb(
 
 
 class Best:
-    """The best point met so far, row by row.
+    """The best point so far, row by row.
 
     Args:
-        point: ``[n, obs_dim]``, which any value above minus infinity beats.
+        point: ``[n, obs_dim]``, replaced by the first point whose value is above minus infinity.
+
+    Example:
+        >>> best = Best(torch.zeros(2, 1))
+        >>> best.meet(torch.ones(2, 1), torch.tensor([1.0, 1.0]))
+        >>> best.meet(torch.full((2, 1), 2.0), torch.tensor([0.0, 3.0]))
+        >>> best.point.squeeze(-1)
+        tensor([1., 2.])
     """
 
     def __init__(self, point: Tensor) -> None:

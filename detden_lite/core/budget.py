@@ -45,20 +45,18 @@ class Budget:
             raise ValueError(f"norm must be inf, 2 or 1, not {self.norm!r}")
         try:
             scale = torch.as_tensor(self.scale, dtype=torch.float32)
+            good = scale.ndim < 2 and scale.numel() and ((scale > 0) & scale.isfinite()).all()
         except (TypeError, ValueError, RuntimeError):
-            raise ValueError(f"scale must be a number, or one for each observation, not {self.scale!r}") from None
-        if scale.ndim > 1 or not scale.numel() or not ((scale > 0) & scale.isfinite()).all():
-            raise ValueError(
-                f"scale must be a number or one row of them, positive and finite everywhere, not {self.scale}"
-            )
+            good = False
+        if not good:
+            raise ValueError(f"scale must be a number or one row, positive and finite everywhere, not {self.scale!r}")
         # A plain number stays one: it is exact, and 1.0 is skipped in ``steepest``.
         object.__setattr__(self, "scale", float(self.scale) if isinstance(self.scale, Real) else scale)
 
     def _check_length(self, obs: Tensor) -> None:
-        if isinstance(self.scale, Tensor) and self.scale.numel() not in (1, obs.shape[-1]):
-            raise ValueError(
-                f"scale: it has {self.scale.numel()} numbers, and an observation {obs.shape[-1]}; give one for each"
-            )
+        n, dim = torch.as_tensor(self.scale).numel(), obs.shape[-1]
+        if n not in (1, dim):
+            raise ValueError(f"scale: it has {n} numbers, and an observation {dim}; give one for each")
 
     def size(self, obs: Tensor, perturbed: Tensor) -> Tensor:
         """||(perturbed - obs) / scale||, ``[N]``."""

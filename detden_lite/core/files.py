@@ -4,7 +4,7 @@ import errno
 import os
 import uuid
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))  # Windows has no quota
@@ -45,49 +45,39 @@ def replace_files(files: Mapping[Path, bytes]) -> None:
     Raises:
         ArtifactError: if one of them cannot be written.
     """
-    news = {path: _temporary(path) for path in files}
-    try:
+    with ExitStack() as stack:
         for path, content in files.items():
-            news[path].write_bytes(content)
-            _sync(news[path])
-        for path, new in news.items():
-            _take_place(new, path)
-    except OSError as error:
-        raise unwritable(path, error) from None
-    finally:
-        for new in news.values():
-            new.unlink(missing_ok=True)
+            new = Path(stack.enter_context(replacing(path, "")))
+            new.write_bytes(content)
+            _sync(new)
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[str]:
-    """The name of a temporary file, with the same suffix, that becomes ``path`` if all goes well.
+def replacing(path: Path, suffix: str | None = None) -> Iterator[str]:
+    """The name of a temporary file that becomes ``path`` if all goes well.
+
+    Two writers of one file never meet: the name is unique. It is beside ``path``, since a rename stays on one disk.
+
+    Args:
+        path: the file to write.
+        suffix: of the temporary name; that of ``path`` by default, for writers that go by it.
 
     Raises:
         ArtifactError: if it cannot be written.
     """
-    new = _temporary(path, path.suffix)
+    new = path.with_name(f"{path.name}.{uuid.uuid4().hex}.new{path.suffix if suffix is None else suffix}")
     try:
         yield str(new)
         _sync(new)
-        _take_place(new, path)
+        os.replace(new, path)
+        if os.name != "nt":  # Windows cannot open a folder
+            _sync(path.parent)
     except OSError as error:
         if error.filename is None or Path(error.filename) in (new, path):
             raise unwritable(path, error) from None
         raise  # another file's error: the body of the ``with`` does more than write
     finally:
         new.unlink(missing_ok=True)
-
-
-def _temporary(path: Path, suffix: str = "") -> Path:
-    """A name of its own beside ``path``: two writers of one file never meet, and a rename stays on one disk."""
-    return path.with_name(f"{path.name}.{uuid.uuid4().hex}.new{suffix}")
-
-
-def _take_place(new: Path, path: Path) -> None:
-    os.replace(new, path)
-    if os.name != "nt":  # Windows cannot open a folder
-        _sync(path.parent)
 
 
 def _sync(path: Path) -> None:

@@ -1,4 +1,8 @@
-"""Values and input gradients of small networks by hand: what autograd does, without its overhead."""
+"""Values and input gradients of small networks.
+
+``value_and_gradient`` is the version to read: autograd. ``Backprop`` computes the same by hand, without autograd's
+overhead; attacks use it through ``detden_lite.victims.action_gradients.ActionObjective``. Tests compare the two.
+"""
 
 from collections.abc import Callable
 
@@ -11,13 +15,22 @@ tanh_backward = torch.ops.aten.tanh_backward.grad_input
 
 
 class Backprop:
-    """Forward and backward pass of an ``mlp`` whose parameters are frozen, in buffers that are used again and again.
+    """Forward and backward pass of an ``mlp`` whose parameters are frozen, in buffers that are reused.
 
-    What ``forward`` and ``backward`` return is overwritten by the next call.
+    The results of ``forward`` and ``backward`` are overwritten by the next call.
 
     Args:
-        net: from ``detden_lite.victims.mlp``.
+        net: from ``detden_lite.core.networks.mlp``.
         dtype: float32, or bfloat16, in which processors with AMX multiply matrices several times as fast.
+
+    Example:
+        >>> from detden_lite.core.networks import mlp
+        >>> net, x = mlp([3, 8, 1], "tanh"), torch.ones(2, 3)
+        >>> by_hand, (value, gradient) = Backprop(net), value_and_gradient(lambda x: net(x).squeeze(-1), x)
+        >>> bool(torch.allclose(by_hand.forward(x).squeeze(-1), value))
+        True
+        >>> bool(torch.allclose(by_hand.backward(torch.ones(2, 1)), gradient))
+        True
     """
 
     def __init__(self, net: nn.Sequential, dtype: torch.dtype = torch.float32) -> None:
@@ -63,7 +76,12 @@ class Backprop:
 
 
 def value_and_gradient(function: Callable[[Tensor], Tensor], x: Tensor) -> tuple[Tensor, Tensor]:
-    """Values ``[N]`` of a function that goes row by row, and their gradients, like ``x``, by autograd."""
+    """Values ``[N]`` of a function that goes row by row, and their gradients, of the shape of ``x``, by autograd.
+
+    Example:
+        >>> value_and_gradient(lambda x: x.square().sum(-1), torch.tensor([[1.0, 2.0]]))
+        (tensor([5.]), tensor([[2., 4.]]))
+    """
     x = x.detach().requires_grad_()
     with torch.enable_grad():
         value = function(x)

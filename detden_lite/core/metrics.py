@@ -19,7 +19,16 @@ class DetectorScores:
 
 
 def detector_scores(attacked: np.ndarray, alarm: np.ndarray) -> DetectorScores:
-    """Scores of boolean alarms against boolean truth, of the same shape."""
+    """Scores of boolean alarms against boolean truth, of the same shape.
+
+    Raises:
+        ValueError: if the shapes differ, or are empty.
+
+    Example:
+        >>> scores = detector_scores(np.array([True, True, False, False]), np.array([True, False, False, False]))
+        >>> scores.accuracy, scores.false_negative_rate, scores.false_positive_rate
+        (0.75, 0.5, 0.0)
+    """
     attacked, alarm = np.asarray(attacked, dtype=bool), np.asarray(alarm, dtype=bool)
     if attacked.shape != alarm.shape or not attacked.size:
         raise ValueError(
@@ -46,6 +55,13 @@ def f1_at(rate: float, misses: float, false_alarms: float) -> float:
         rate: of the attack, above 0 and at most 1.
         misses: the false-negative rate, 0 to 1.
         false_alarms: the false-positive rate, 0 to 1.
+
+    Raises:
+        ValueError: if one of them is out of its range.
+
+    Example:
+        >>> f1_at(rate=0.5, misses=0.0, false_alarms=0.0), f1_at(rate=0.5, misses=1.0, false_alarms=0.0)
+        (1.0, 0.0)
     """
     if not (0 < rate <= 1 and 0 <= misses <= 1 and 0 <= false_alarms <= 1):
         raise ValueError(
@@ -57,7 +73,7 @@ def f1_at(rate: float, misses: float, false_alarms: float) -> float:
 
 
 def auroc(positive: np.ndarray, negative: np.ndarray) -> float | None:
-    """How probably a positive's score is above a negative's, ties counting half: the area under the ROC curve.
+    """The area under the ROC curve: the probability that a positive's score is above a negative's, ties counting half.
 
     Args:
         positive: scores of attacked observations, ``[n]``.
@@ -65,6 +81,13 @@ def auroc(positive: np.ndarray, negative: np.ndarray) -> float | None:
 
     Returns:
         None if there is no such pair.
+
+    Raises:
+        ValueError: if a score is not finite.
+
+    Example:
+        >>> auroc(np.array([2.0, 3.0]), np.array([1.0, 2.0]))
+        0.875
     """
     positive, negative = np.ravel(positive), np.sort(np.ravel(negative))
     if not (np.isfinite(positive).all() and np.isfinite(negative).all()):
@@ -80,8 +103,8 @@ def score_auroc(episodes: Episodes, clean: Episodes | None = None) -> float | No
 
     Args:
         episodes: attacked ones.
-        clean: if given, its steps are the negatives: without the traces that an attack leaves in the detector's memory,
-            and there even if ``episodes`` are attacked always. None: the steps of ``episodes`` that are not attacked.
+        clean: if given, its steps are the negatives. They exist even if ``episodes`` are always attacked, and their
+            scores show no earlier attack. None: the steps of ``episodes`` that are not attacked.
 
     Returns:
         None if there are no positives or no negatives.
@@ -110,7 +133,7 @@ def detection_delays(episodes: Episodes) -> np.ndarray:
 
 @dataclass(frozen=True)
 class DetectionDelay:
-    """How long the detector needs; ``mean`` and ``longest`` are of the attacks that it noticed, None if of none."""
+    """How long the detector needs; ``mean`` and ``longest`` are over the attacks it noticed, None if it missed all."""
 
     attacks: int
     missed: int
@@ -127,9 +150,9 @@ def detection_delay(episodes: Episodes) -> DetectionDelay:
 
 
 def live_dimensions(clean: Episodes) -> np.ndarray:
-    """Which observations vary in clean episodes, ``[obs_dim]`` bool: to denoise a constant is no merit.
+    """The observations that vary in clean episodes, ``[obs_dim]`` bool: those with a standard deviation above 1e-4.
 
-    Those whose standard deviation is above 1e-4.
+    A denoiser's error is measured on these: a constant is easy to denoise.
     """
     return clean.obs[clean.mask].std(0, dtype=np.float64) > 1e-4
 
@@ -147,7 +170,7 @@ def mean_absolute_error(episodes: Episodes, dimensions: np.ndarray | slice = sli
 
 
 def summarize(episodes: Episodes, clean: Episodes | None = None) -> dict:
-    """Everything that a result record says of its episodes, as plain numbers.
+    """Everything that a result record says about its episodes, as plain numbers.
 
     Args:
         episodes: those of the cell.

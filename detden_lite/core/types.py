@@ -27,7 +27,14 @@ KNOWLEDGE = dict(
 
 @dataclass(frozen=True)
 class Episodes:
-    """What happened in N episodes. Arrays are ``[steps, N, ...]``; what is not ``mask`` came after an episode's end."""
+    """N episodes, step by step. Arrays are ``[steps, N, ...]``; entries outside ``mask`` are after an episode's end.
+
+    Example:
+        >>> from detden_lite import get_task, load_victim, rollout
+        >>> episodes = rollout(load_victim("hopper", "td3"), get_task("hopper"), range(3), steps=5)
+        >>> episodes.obs.shape, episodes.lengths, len(episodes.select([0, 2]).seeds)
+        ((5, 3, 11), array([5, 5, 5]), 2)
+    """
 
     seeds: np.ndarray  # [N]
     mask: np.ndarray  # the episode was still going when this step began, bool
@@ -60,17 +67,28 @@ class Episodes:
 
 @dataclass(frozen=True)
 class World:
-    """What an attack may see beside the observation, according to its ``needs``; what it does not need is None."""
+    """What an attack may see beside the observation, according to its ``needs``; what it does not need is None.
 
-    wanted: np.ndarray  # whose perturbed observation will be used, [N] bool; the others' may be anything
-    simulator: Any = None  # a ``detden_lite.simulation.simulator.Simulator``, only to be looked at
+    Example:
+        >>> World(wanted=np.array([True])).simulator is None
+        True
+    """
+
+    wanted: np.ndarray  # rows whose perturbed observation will be used, [N] bool; others may hold anything
+    simulator: Any = None  # a ``detden_lite.simulation.simulator.Simulator``; attacks only read it
     defense: Any = None  # a copy, with the defence's memory as it is before this observation
     action: Tensor | None = None  # what the policy did one step before, [N, action_dim]; see ``Denoiser.step``
 
 
 @dataclass(frozen=True)
 class Trajectories:
-    """Observation sequences of whole episodes; beyond an episode's length its row holds zeros."""
+    """Observation sequences of whole episodes; beyond an episode's length its row holds zeros.
+
+    Example:
+        >>> normal = Trajectories(np.zeros((2, 5, 11), np.float32), np.array([5, 3]))
+        >>> len(normal), normal.mask.sum()
+        (2, np.int64(8))
+    """
 
     obs: np.ndarray  # [episodes, steps, obs_dim] float32
     lengths: np.ndarray  # [episodes]
@@ -90,9 +108,16 @@ class Trajectories:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the defence says of one observation of N episodes."""
+    """The defence's judgement of one observation of N episodes.
 
-    obs: Tensor  # what the policy is to see, [N, obs_dim], in raw units
+    Example:
+        >>> import torch
+        >>> obs = torch.zeros(2, 11)
+        >>> Verdict(obs, alarm=torch.tensor([False, True]), score=torch.ones(2), denoised=obs).alarm
+        tensor([False,  True])
+    """
+
+    obs: Tensor  # shown to the policy, [N, obs_dim], in raw units
     alarm: Tensor  # [N] bool
     score: Tensor  # the detector's, [N]; a GRU-VAE's is the largest error of an observation in its standard deviations
     denoised: Tensor  # what the denoiser would show, [N, obs_dim], in raw units
@@ -117,7 +142,7 @@ class Attack(Protocol):
 
 
 class Timing(Protocol):
-    """Says when to attack."""
+    """Decides when to attack."""
 
     def reset(self, episodes: Sequence[int]) -> None:
         """Begin new episodes, one seed each."""

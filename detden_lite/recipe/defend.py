@@ -5,6 +5,7 @@ from __future__ import annotations
 import operator
 from dataclasses import asdict, fields
 from pathlib import Path
+from types import EllipsisType
 from typing import TYPE_CHECKING
 
 import gymnasium
@@ -36,7 +37,7 @@ def defend(
     budget: Budget,
     scale: str | DefenseScale = "lite",
     folder: str | Path = "defended",
-    vecnormalize: VecNormalize | None = None,
+    vecnormalize: VecNormalize | None | EllipsisType = ...,
     seed: int = 0,
 ) -> Defended:
     """Make a defence of a frozen policy, and put the policy behind it.
@@ -54,7 +55,8 @@ def defend(
         scale: "tiny" for a try (seconds), "lite" for what the book ships (tens of minutes), "paper" for the paper's
             sizes, or sizes of your own: see ``detden_lite.defense_scale``.
         folder: where everything is stored; it holds one policy for each task and algorithm.
-        vecnormalize: the ``VecNormalize`` that a model was trained in, if any.
+        vecnormalize: the ``VecNormalize`` that a model was trained in; None, said explicitly, if it was trained without
+            one and was loaded without its environment.
         seed: of the trainings.
 
     Raises:

@@ -137,12 +137,12 @@ class CEMPlanner:
         """The best first actions ``[N, action_dim]``; rows that are not ``wanted`` keep what was planned before.
 
         Args:
-            envs: N unwrapped environments, in the order of the episodes; they are only looked at.
+            envs: N unwrapped environments, in the order of the episodes; they are only read.
             wanted: for which of them to plan, ``[N]`` bool.
         """
         n, rows = len(envs), np.flatnonzero(wanted).tolist()
         dim = self.population * self.mean[0].size
-        # Every episode draws at every step, so that its samples do not depend on when it is attacked.
+        # Every episode uses random numbers at every step, so that its samples do not depend on when it is attacked.
         noise = [self.streams.normal(n, dim).numpy()[rows].astype(float) for _ in range(self.iterations)]
         if len(rows):
             self.mean[rows] = self._improve(self.mean[rows], [envs[i] for i in rows], noise)
@@ -160,7 +160,7 @@ class CEMPlanner:
         for step in noise:
             actions = mean[:, None] + std[:, None] * step.reshape(n, p, *mean.shape[1:])
             actions = actions.clip(self.low, self.high)
-            actions[:, 0] = best  # the best so far stays in the race
+            actions[:, 0] = best  # so that the best one so far is never lost
             rewards = self.worlds.rewards(states, warmstarts, x, actions.reshape(n * p, *mean.shape[1:]))
             returns = rewards.reshape(n, p, -1).sum(-1)
             order = returns.argsort(axis=1)

@@ -1,4 +1,4 @@
-"""N episodes in lockstep, attacked and defended: the loop in which everything meets (figure 2 of the paper)."""
+"""N episodes in lockstep, attacked and defended: the loop of figure 2 of the paper."""
 
 import copy
 from collections.abc import Sequence
@@ -46,12 +46,12 @@ def rollout(
         progress: text of a progress bar, None for no bar.
 
     Returns:
-        What happened, step by step; see ``Episodes``.
+        The episodes, step by step; see ``Episodes``.
 
     Raises:
-        ValueError: if the victim is of another task; if a seed, the noise or the steps are none; if attack, timing or
-            defence break their contract (``detden_lite.core.types``) before or at the first step; or if an action is
-            not finite.
+        ValueError: if the victim is of another task; if a seed, the noise or the steps are invalid; if attack, timing
+            or defence break their contract (``detden_lite.core.types``) before or at the first step; or if an action
+            is not finite.
 
     Example:
         >>> from detden_lite import Budget, OppositeAttack, get_task, load_victim, rollout

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from sbx import PPO, TD3
 
 STATES = ("actor_state", "qf_state", "vf_state")  # of a policy of sbx-rl: parameters and optimizers
-KEYS = ("key", "noise_key")
 BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 COUNTERS = ("num_timesteps", "_n_updates", "_episode_num")
 
@@ -37,12 +36,11 @@ def save(model: "TD3 | PPO", checkpoint: Path, segments: int) -> None:
     if not record.exists():  # from here on a model without a record is damage, and no first checkpoint under way
         replace_file(record, b'{"segments": 0, "sha256": {}}')
     with replacing(path) as new:
-        np.savez(new, segments=np.array(segments), **_arrays(model))
-        sum_ = _sha256(Path(new))
-    replace_file(record, json.dumps(dict(segments=segments, sha256={path.name: sum_})).encode())
-    for other in checkpoint.iterdir():
-        if other not in (record, path):
-            other.unlink()
+        np.savez(new, segments=np.array(segments), **_arrays(model))  # type: ignore[arg-type] # none is "allow_pickle"
+        digest = _sha256(Path(new))
+    replace_file(record, json.dumps(dict(segments=segments, sha256={path.name: digest})).encode())
+    for other in {*checkpoint.iterdir()} - {record, path}:
+        other.unlink()
 
 
 def load(model: "TD3 | PPO", checkpoint: Path) -> int:
@@ -60,10 +58,8 @@ def load(model: "TD3 | PPO", checkpoint: Path) -> int:
         segments, sums = said["segments"], said["sha256"]
         if segments == 0 and not sums:
             return 0
-        (name, expected), *others = sums.items()
         path = checkpoint / f"model-{segments}.npz"
-        if name != path.name or others:
-            raise ValueError
+        expected = sums[path.name]
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise ArtifactError(f"{record} is missing, damaged, or of an earlier version; {remedy}") from None
     if not path.exists():
@@ -80,21 +76,25 @@ def load(model: "TD3 | PPO", checkpoint: Path) -> int:
     return segments
 
 
+def _places(model: "TD3 | PPO") -> dict[str, tuple[object, str]]:
+    """Owner and attribute of each array, apart from networks, transitions and returns."""
+    owners = dict(policy=(model.policy, ("key", "noise_key")), model=(model, COUNTERS))
+    if buffer := getattr(model, "replay_buffer", None):
+        owners["buffer"] = (buffer, ("pos", "full"))
+    if (normalizer := model.get_vec_normalize_env()) is not None:
+        owners |= {name: (getattr(normalizer, name), ("mean", "var", "count")) for name in ("obs_rms", "ret_rms")}
+    return {f"{name}.{part}": (owner, part) for name, (owner, parts) in owners.items() for part in parts}
+
+
 def _arrays(model: "TD3 | PPO") -> dict[str, np.ndarray]:
     import jax
 
-    found = {key: np.asarray(getattr(model.policy, key)) for key in KEYS}
+    found = {name: np.asarray(getattr(*place)) for name, place in _places(model).items()}
     for name in STATES:
-        for i, leaf in enumerate(jax.tree_util.tree_leaves(getattr(model.policy, name, None))):
-            found[f"{name}-{i}"] = np.asarray(leaf)
+        leaves = jax.tree_util.tree_leaves(getattr(model.policy, name, None))
+        found |= {f"{name}.{i}": np.asarray(leaf) for i, leaf in enumerate(leaves)}
     if buffer := getattr(model, "replay_buffer", None):
-        found["position"] = np.array([buffer.pos, buffer.full])
         found |= {name: getattr(buffer, name)[: buffer.size()] for name in BUFFER}
-    if (normalizer := model.get_vec_normalize_env()) is not None:
-        for name in ("obs_rms", "ret_rms"):
-            statistics = getattr(normalizer, name)
-            found |= {f"{name}-{part}": np.asarray(getattr(statistics, part)) for part in ("mean", "var", "count")}
-    found["counters"] = np.array([getattr(model, name) for name in COUNTERS])
     found["episodes"] = np.array([[e["r"], e["l"], e["t"]] for e in model.ep_info_buffer or ()]).reshape(-1, 3)
     return found
 
@@ -102,25 +102,17 @@ def _arrays(model: "TD3 | PPO") -> dict[str, np.ndarray]:
 def _restore(model: "TD3 | PPO", arrays: Mapping[str, np.ndarray]) -> None:
     import jax
 
-    for key in KEYS:
-        setattr(model.policy, key, jax.numpy.asarray(arrays[key]))
+    for name, (owner, part) in _places(model).items():
+        setattr(owner, part, arrays[name][()])
     for name in (name for name in STATES if hasattr(model.policy, name)):
         leaves, tree = jax.tree_util.tree_flatten(getattr(model.policy, name))
-        found = [jax.numpy.asarray(arrays[f"{name}-{i}"]) for i in range(len(leaves))]
+        found = [jax.numpy.asarray(arrays[f"{name}.{i}"]) for i in range(len(leaves))]
         if [leaf.shape for leaf in found] != [np.shape(leaf) for leaf in leaves]:
             raise ValueError(f"{name} has other sizes")
         setattr(model.policy, name, jax.tree_util.tree_unflatten(tree, found))
     if buffer := getattr(model, "replay_buffer", None):
-        position, full = arrays["position"]
-        buffer.pos, buffer.full = int(position), bool(full)
         for name in BUFFER:
             getattr(buffer, name)[: buffer.size()] = arrays[name]
-    if (normalizer := model.get_vec_normalize_env()) is not None:
-        for name in ("obs_rms", "ret_rms"):
-            for part in ("mean", "var", "count"):
-                setattr(getattr(normalizer, name), part, arrays[f"{name}-{part}"][()])
-    for name, value in zip(COUNTERS, arrays["counters"].tolist(), strict=True):
-        setattr(model, name, value)
     episodes = [dict(r=r, l=length, t=t) for r, length, t in arrays["episodes"].tolist()]
     model.ep_info_buffer, model.ep_success_buffer = (deque(e, maxlen=model._stats_window_size) for e in (episodes, ()))
 

@@ -7,17 +7,24 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
+from detden_lite.core.arguments import check_between, check_positive, check_whole
 from detden_lite.core.networks import mlp
 from detden_lite.core.tasks import Task
 from detden_lite.core.types import Episodes
 from detden_lite.victims.victim import Victim
 
-SETTLED = 300  # steps: what comes after them weighs less than 0.99 ** 300 = 0.05 in a discounted return
+SETTLED = 300  # steps: later rewards have a weight of less than 0.99 ** 300 = 0.05 in a discounted return
 
 
 @dataclass(frozen=True)
 class QRecipe:
-    """How Q is learned: regression on TD(lambda) targets, which are made anew from Q itself before every epoch."""
+    """How Q is learned: regression on TD(lambda) targets, which are made anew from Q itself before every epoch.
+
+    Example:
+        >>> from detden_lite import get_task
+        >>> QRecipe(net=64).sizes(get_task("hopper"))
+        [14, 64, 64, 1]
+    """
 
     episodes: int = 256
     net: int = 256
@@ -26,6 +33,12 @@ class QRecipe:
     learning_rate: float = 1e-3  # falls to zero along half a cosine
     gamma: float = 0.99
     lam: float = 0.9
+
+    def __post_init__(self) -> None:
+        check_whole(2, episodes=self.episodes)  # one to learn from and one to hold out
+        check_whole(1, net=self.net, epochs=self.epochs, batch=self.batch)
+        check_positive(learning_rate=self.learning_rate)
+        check_between(0, 1, gamma=self.gamma, lam=self.lam)
 
     def sizes(self, task: Task) -> list[int]:
         """Layer sizes of the network, for ``mlp`` and ``Victim.with_critic``."""
@@ -38,6 +51,10 @@ class Fit:
 
     ``explained_variance`` is 1 for a perfect prediction and 0 for a constant. ``action_correlation`` is that of
     Q(o, a) - Q(o, pi(o)) with what a step of exploration gained or cost: above 0, Q knows which actions are worse.
+
+    Example:
+        >>> Fit(explained_variance=0.9, action_correlation=0.4, steps=1_000, episodes=8).action_correlation > 0.1
+        True
     """
 
     explained_variance: float
@@ -53,7 +70,7 @@ def policy_noise(victim: Victim) -> np.ndarray:
         ValueError: if the policy is deterministic.
     """
     if victim.action_std is None:
-        raise ValueError("victim: its policy is deterministic, and explores nothing; TD3 has critics of its own")
+        raise ValueError("victim: its policy is deterministic and does not explore; TD3 has critics of its own")
     return (2 * victim.action_std / (victim.action_high - victim.action_low)).reshape(1, -1).numpy()
 
 
@@ -78,6 +95,8 @@ def learn_q(
         ValueError: if the victim's policy is deterministic, or there are fewer than two episodes.
     """
     policy_noise(victim)  # refuses a deterministic policy
+    if recipe.gamma == 1:
+        raise ValueError("gamma must be below 1 to learn Q, whose scale is 1 / (1 - gamma)")
     if len(episodes.seeds) < 2:
         raise ValueError("episodes: at least two are needed, one to learn from and one to hold out")
     horizon = horizon or task.horizon
@@ -106,16 +125,18 @@ def learn_q(
                 falling.step()
                 total += loss.item()
             bar.set_postfix(loss=f"{total / batches:.4f}")
+    last = net[-1]
+    assert isinstance(last, nn.Linear)
     with torch.no_grad():
-        net[-1].weight *= scale
-        net[-1].bias *= scale
+        last.weight.mul_(scale)
+        last.bias.mul_(scale)
     return net.requires_grad_(False), fit(net, victim, kept, horizon, recipe)
 
 
 def lambda_returns(reward: np.ndarray, q: np.ndarray, mask: np.ndarray, horizon: int, recipe: QRecipe) -> np.ndarray:
     """TD(lambda) targets of Q, ``[steps, N]``: G_t = r_t + gamma ((1 - lambda) Q_{t+1} + lambda G_{t+1}).
 
-    Beyond a fall there is nothing; an episode that was cut off at the horizon goes on with the last Q it had.
+    After a fall the return is 0. An episode that was cut off at the horizon is continued with its last Q.
 
     Args:
         reward: ``[steps, N]``.
@@ -137,8 +158,8 @@ def lambda_returns(reward: np.ndarray, q: np.ndarray, mask: np.ndarray, horizon:
 def fit(net: nn.Module, victim: Victim, episodes: Episodes, horizon: int, recipe: QRecipe) -> Fit:
     """Compare Q with the discounted returns that followed, where they are known: not shortly before the cut-off.
 
-    Beyond the cut-off the last Q stands for the rest, which weighs little: without any, all returns would grow with the
-    time that is left, of which an observation knows nothing.
+    After the cut-off the last Q replaces the rest, which has little weight. Without it all returns would depend on the
+    time that is left, which an observation does not show.
     """
     q, quiet = (_evaluate(net, _inputs(victim, episodes, explored)).numpy() for explored in (True, False))
     returns = lambda_returns(episodes.reward, q, episodes.mask, horizon, replace(recipe, lam=1.0))

@@ -1,12 +1,24 @@
-"""How a victim, or its adversary, is trained: the hyperparameters of TD3 and PPO, and what each needs to start, to save
-and to resume. ``worlds(n)`` makes n worlds to train in, as one ``VecEnv`` of stable-baselines3."""
+"""How a victim, or its adversary, is trained: hyperparameters of TD3 and PPO, a new model, and how a segment begins.
+
+``worlds(n)`` makes n worlds to train in, as one ``VecEnv`` of stable-baselines3.
+"""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from math import inf
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from detden_lite.core.arguments import check_between, check_positive, check_whole
+from detden_lite.core.networks import ACTIVATIONS
 from detden_lite.core.tasks import Task
+
+if TYPE_CHECKING:  # a defence of a victim that is already trained needs no trainer
+    from sbx import PPO, TD3
+    from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+
+Worlds = Callable[[int], "VecEnv"]
 
 
 @dataclass(frozen=True)
@@ -15,7 +27,12 @@ class TD3Recipe:
 
     A segment is what is trained between two snapshots. Each starts from a new episode and from random generators that
     are seeded by (seed, segment), so that a run that was killed and resumed equals one that was not. A finished run
-    may be prolonged: ``steps`` is no part of what it is.
+    may be prolonged: ``steps`` is no part of its identity.
+
+    Example:
+        >>> from detden_lite import get_task
+        >>> TD3Recipe(net=64).config(get_task("hopper"))["actor"]
+        [11, 64, 64, 3]
     """
 
     steps: int = 500_000
@@ -30,29 +47,34 @@ class TD3Recipe:
     updates: int = 50  # steps of each environment between two compiled calls of as many gradient steps
     normalize: bool = False  # observations, by the mean and deviation of the replay buffer when a segment begins
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
+        check_whole(1, steps=self.steps, segment=self.segment, net=self.net, batch=self.batch, buffer=self.buffer)
+        check_whole(1, envs=self.envs, updates=self.updates)
+        check_whole(0, learning_starts=self.learning_starts)
+        check_positive(learning_rate=self.learning_rate)
+        check_between(0, inf, action_noise=self.action_noise)
         if self.steps % self.segment or self.segment % (self.envs * self.updates):
             raise ValueError("steps must be a multiple of segment, and segment of envs * updates")
         if self.normalize and self.learning_starts < self.segment:
             raise ValueError("learning_starts: there is nothing to normalise by before the first segment is over")
 
     @property
-    def identity(self) -> dict:
-        """What a folder's snapshots have in common."""
+    def identity(self) -> dict[str, Any]:
+        """The settings that all snapshots of a folder have in common."""
         return {key: value for key, value in asdict(self).items() if key != "steps"}
 
-    def config(self, task: Task) -> dict:
+    def config(self, task: Task) -> dict[str, Any]:
         """The arguments of the ``Victim`` that is trained."""
         net = [self.net, self.net]
         return dict(actor=[task.obs_dim, *net, task.action_dim], critic=[task.obs_dim + task.action_dim, *net, 1])
 
-    def start(self, worlds: Callable, seed: int):
+    def start(self, worlds: Worlds, seed: int) -> "TD3":
         """A new model, untrained."""
         from sbx import TD3
         from stable_baselines3.common.noise import NormalActionNoise
 
         env = self._normalized(worlds)
-        zero = np.zeros(env.action_space.shape)
+        zero = np.zeros(env.action_space.shape or ())
         return TD3(
             "MlpPolicy",
             env,
@@ -67,17 +89,20 @@ class TD3Recipe:
             seed=seed,
         )
 
-    def begin_segment(self, model, worlds: Callable, done: float) -> None:
-        """Forget the episode under way. ``done`` is the share of the training that lies behind."""
-        env = self._normalized(worlds)
-        seen = model.replay_buffer.observations[: model.replay_buffer.size()]
-        if self.normalize and len(seen):
+    def begin_segment(self, model: "TD3", worlds: Worlds, done: float) -> None:
+        """Begin new episodes. ``done`` is the completed share of the training."""
+        from stable_baselines3.common.vec_env import VecNormalize
+
+        env, buffer = self._normalized(worlds), model.replay_buffer
+        if isinstance(env, VecNormalize) and buffer is not None and buffer.size():
+            assert not isinstance(env.obs_rms, dict)  # which it is for dictionaries of observations
+            seen = buffer.observations[: buffer.size()]
             # In float32: in float64 the normalising of batches would take longer than learning from them.
             some = seen[:: max(1, len(seen) // 20_000)].reshape(-1, seen.shape[-1])
             env.obs_rms.mean, env.obs_rms.var = some.mean(0), some.var(0)
         model.set_env(env)
 
-    def _normalized(self, worlds: Callable):
+    def _normalized(self, worlds: Worlds) -> "VecEnv":
         from stable_baselines3.common.vec_env import VecNormalize
 
         env = worlds(self.envs)
@@ -89,6 +114,11 @@ class PPORecipe:
     """Hyperparameters of PPO (Schulman et al., 2017) on normalised observations and rewards.
 
     The learning rate falls linearly to zero, from segment to segment; so a finished run cannot be prolonged.
+
+    Example:
+        >>> from detden_lite import get_task
+        >>> PPORecipe().config(get_task("hopper"))["value"]
+        [11, 64, 64, 1]
     """
 
     steps: int = 2_048_000
@@ -105,23 +135,31 @@ class PPORecipe:
     clip: float = 0.2
     log_std: float = 0.0  # at the start
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
+        check_whole(1, steps=self.steps, segment=self.segment, net=self.net, envs=self.envs, rollout=self.rollout)
+        check_whole(2, batch=self.batch)  # advantages are normalised in each
+        check_whole(1, epochs=self.epochs)
+        check_positive(learning_rate=self.learning_rate, clip=self.clip)
+        check_between(0, 1, gamma=self.gamma, gae_lambda=self.gae_lambda)
+        check_between(-inf, inf, log_std=self.log_std)
+        if self.activation not in ACTIVATIONS:
+            raise ValueError(f"activation must be {' or '.join(ACTIVATIONS)}, not {self.activation!r}")
         if self.steps % self.segment or self.segment % (self.envs * self.rollout):
             raise ValueError("steps must be a multiple of segment, and segment of envs * rollout")
 
     @property
-    def identity(self) -> dict:
-        """What a folder's snapshots have in common."""
+    def identity(self) -> dict[str, Any]:
+        """The settings that all snapshots of a folder have in common."""
         return asdict(self)
 
-    def config(self, task: Task) -> dict:
+    def config(self, task: Task) -> dict[str, Any]:
         """The arguments of the ``Victim`` that is trained."""
         layers = [task.obs_dim, self.net, self.net]
         return dict(
             actor=[*layers, task.action_dim], value=[*layers, 1], n_critics=0, activation=self.activation, gaussian=True
         )
 
-    def start(self, worlds: Callable, seed: int):
+    def start(self, worlds: Worlds, seed: int) -> "PPO":
         """A new model, untrained."""
         import jax
         from sbx import PPO
@@ -145,14 +183,15 @@ class PPORecipe:
             seed=seed,
         )
 
-    def begin_segment(self, model, worlds: Callable, done: float) -> None:
-        """Forget the episodes under way. ``done`` is the share of the training that lies behind."""
+    def begin_segment(self, model: "PPO", worlds: Worlds, done: float) -> None:
+        """Begin new episodes. ``done`` is the completed share of the training."""
         env, old = self._normalized(worlds), model.get_vec_normalize_env()
+        assert old is not None  # its worlds come from ``start`` or from here
         env.obs_rms, env.ret_rms = old.obs_rms, old.ret_rms
         model.set_env(env)
-        model.lr_schedule = _Constant(self.learning_rate * (1 - done))
+        model.lr_schedule = lambda _: self.learning_rate * (1 - done)
 
-    def _normalized(self, worlds: Callable):
+    def _normalized(self, worlds: Worlds) -> "VecNormalize":
         from stable_baselines3.common.vec_env import VecNormalize
 
         return VecNormalize(worlds(self.envs), gamma=self.gamma)
@@ -160,7 +199,13 @@ class PPORecipe:
 
 @dataclass(frozen=True)
 class AdversaryRecipe(PPORecipe):
-    """Hyperparameters of PPO for an adversary, which sees what the victim should see and perturbs it."""
+    """Hyperparameters of PPO for an adversary, who sees the true observation and perturbs it.
+
+    Example:
+        >>> from detden_lite import get_task
+        >>> AdversaryRecipe(timing="vulnerable").config(get_task("hopper"))["actor"]
+        [11, 64, 64, 11]
+    """
 
     steps: int = 204_800
     segment: int = 20_480
@@ -169,24 +214,20 @@ class AdversaryRecipe(PPORecipe):
     rollout: int = 64
     batch: int = 128
     entropy: float = 0.003  # weight of the entropy bonus
-    timing: str = "always"  # when it may attack: "always" or "vulnerable"
+    timing: str = "always"  # when they may attack: "always" or "vulnerable"
 
-    def config(self, task: Task) -> dict:
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_between(0, inf, entropy=self.entropy)
+        if self.timing not in ("always", "vulnerable"):
+            raise ValueError(f"timing must be always or vulnerable, not {self.timing!r}")
+
+    def config(self, task: Task) -> dict[str, Any]:
         """The arguments of the ``Victim`` that the adversary is: its actions are perturbations."""
         return super().config(replace(task, action_dim=task.obs_dim))
 
-    def start(self, worlds: Callable, seed: int):
+    def start(self, worlds: Worlds, seed: int) -> "PPO":
         """A new model, untrained."""
         model = super().start(worlds, seed)
         model.ent_coef = self.entropy
         return model
-
-
-@dataclass(frozen=True)
-class _Constant:
-    """A learning-rate schedule that can be saved."""
-
-    rate: float
-
-    def __call__(self, _) -> float:
-        return self.rate

@@ -1,9 +1,10 @@
-"""Which snapshot of several trainings is shipped: screening for all of them, selection for the best of these."""
+"""The choice of a snapshot among several trainings: screening for all of them, selection for the best of these."""
 
 import json
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from safetensors import SafetensorError
 from safetensors.torch import load_file
@@ -26,7 +27,12 @@ class Choice:
 
 
 def choose(
-    task: Task, kind: type, folders: Iterable[Path], measure: Callable[[Victim, str], float], sign: int = 1, n: int = 10
+    task: Task,
+    kind: type[Any],
+    folders: Iterable[Path],
+    measure: Callable[[Victim, str], float],
+    sign: int = 1,
+    n: int = 10,
 ) -> Choice:
     """The best snapshot of some trainings.
 
@@ -36,10 +42,10 @@ def choose(
     Args:
         task: what they were trained for.
         kind: the class of their recipes.
-        folders: one a training, with a snapshot each at least between them.
+        folders: one a training; together they hold at least one snapshot.
         measure: the mean return with a snapshot's policy in the episodes called "screening" or "selection".
         sign: 1 if a large return is good, -1 if a small one is.
-        n: how many get to the selection.
+        n: how many play the selection episodes.
 
     Raises:
         ArtifactError: if a snapshot cannot be read, or its recipe is another.

@@ -1,11 +1,14 @@
-"""Training a victim, or its adversary, with sbx-rl (stable-baselines3's algorithms in JAX), in segments that survive a
-kill."""
+"""Training of a victim, or of its adversary, in segments that can be resumed after a kill.
+
+The algorithms are stable-baselines3's in JAX, from sbx-rl.
+"""
 
 import json
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from safetensors.torch import save
@@ -15,16 +18,16 @@ from detden_lite.core.files import ArtifactError, replace_file
 from detden_lite.core.random_streams import derived_seed
 from detden_lite.core.tasks import Task
 from detden_lite.victims import checkpoints
-from detden_lite.victims.recipes import PPORecipe, TD3Recipe
+from detden_lite.victims.recipes import PPORecipe, TD3Recipe, Worlds
 from detden_lite.victims.victim import Victim
 
-# One thread: XLA's own threads would fight with the other runs on the machine for nothing.
+# One thread: more threads of XLA would compete with the other runs on the machine without benefit.
 XLA_FLAGS = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
 
 
 def train(
-    task: Task, recipe: TD3Recipe | PPORecipe, seed: int, folder: Path, worlds: Callable, about: Mapping | None = None,
-    checkpoint_seconds: float = 600,
+    task: Task, recipe: TD3Recipe | PPORecipe, seed: int, folder: Path, worlds: Worlds,
+    about: Mapping[str, object] | None = None, checkpoint_seconds: float = 600,
 ) -> list[Path]:  # fmt: skip
     """Train, or go on training, and return the snapshots: one policy a segment, ``folder/snapshots/*.safetensors``.
 
@@ -50,7 +53,7 @@ def train(
     claim(folder, dict(task=task.name, seed=seed, **(about or {}), **recipe.identity))
     checkpoint, snapshots = folder / "checkpoint", folder / "snapshots"
     snapshots.mkdir(exist_ok=True)
-    model = recipe.start(worlds, seed)
+    model: Any = recipe.start(worlds, seed)  # of the recipe's own kind
     done = checkpoints.load(model, checkpoint)
 
     segments, saved = recipe.steps // recipe.segment, time.monotonic()
@@ -72,8 +75,13 @@ def train(
     return sorted(snapshots.glob("*.safetensors"))
 
 
-def claim(folder: Path, description: dict) -> None:
-    """Make a folder and write down what it is for; a ValueError if it is there for something else."""
+def claim(folder: Path, description: Mapping[str, object]) -> None:
+    """Make a folder and write down what it is for.
+
+    Raises:
+        ValueError: if the folder holds another run.
+        ArtifactError: if its recipe.json is damaged, or cannot be written.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     recipe_file = folder / "recipe.json"
     try:

@@ -1,11 +1,17 @@
-"""A frozen policy with its critic: what is attacked and defended, and never retrained."""
+"""A frozen policy with its critic: it is attacked and defended, and never retrained."""
 
 from collections.abc import Mapping
+from types import EllipsisType
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
 
 from detden_lite.core.networks import mlp
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.vec_env import VecNormalize
 
 
 class Victim(nn.Module):
@@ -23,7 +29,20 @@ class Victim(nn.Module):
         activation: "relu" or "tanh".
         critic_activation: of the Q networks, where it is another one.
         gaussian: whether the policy is stochastic.
+
+    Example:
+        >>> victim = Victim(actor=[11, 64, 3], critic=[14, 64, 1])
+        >>> obs = torch.zeros(2, 11)
+        >>> victim(obs).shape, victim.q(obs, victim(obs)).shape
+        (torch.Size([2, 3]), torch.Size([2]))
     """
+
+    obs_mean: Tensor
+    obs_std: Tensor
+    obs_clip: Tensor
+    action_low: Tensor
+    action_high: Tensor
+    action_std: Tensor | None
 
     def __init__(
         self,
@@ -34,17 +53,15 @@ class Victim(nn.Module):
         activation: str = "relu",
         critic_activation: str | None = None,
         gaussian: bool = False,
-    ):
+    ) -> None:
         super().__init__()
-        self.config = dict(
+        self.config: dict[str, Any] = dict(
             actor=actor, critic=critic, value=value, n_critics=n_critics, activation=activation,
             critic_activation=critic_activation, gaussian=gaussian,
         )  # fmt: skip
         obs_dim, action_dim = actor[0], actor[-1]
         self.actor = mlp(actor, activation, squash=not gaussian)
-        self.critics = nn.ModuleList(
-            mlp(critic, critic_activation or activation) for _ in range(n_critics if critic else 0)
-        )
+        self.critics = nn.ModuleList(mlp(critic, critic_activation or activation) for _ in range(n_critics) if critic)
         self.value_net = mlp(value, activation) if value else None
         self.register_buffer("obs_mean", torch.zeros(obs_dim))
         self.register_buffer("obs_std", torch.ones(obs_dim))
@@ -56,10 +73,12 @@ class Victim(nn.Module):
 
     @property
     def obs_dim(self) -> int:
+        """How many numbers an observation has."""
         return self.config["actor"][0]
 
     @property
     def action_dim(self) -> int:
+        """How many numbers an action has."""
         return self.config["actor"][-1]
 
     def normalize(self, obs: Tensor) -> Tensor:
@@ -78,7 +97,7 @@ class Victim(nn.Module):
         return self.mean(obs).clamp(self.action_low, self.action_high)
 
     def straight_through(self, obs: Tensor) -> Tensor:
-        """pi(o) with the gradient of the unclipped mean: for attacks, which must find their way back from a bound."""
+        """pi(o) with the gradient of the unclipped mean, so that an attack at a bound still has a gradient."""
         mean = self.mean(obs)
         return mean + (mean.clamp(self.action_low, self.action_high) - mean).detach()
 
@@ -109,7 +128,7 @@ class Victim(nn.Module):
 
         Args:
             critic: layer sizes, from obs_dim + action_dim to 1.
-            state: the state dict of ``mlp(critic, activation)``; see ``detden_lite.qfunction``.
+            state: the state dict of ``mlp(critic, activation)``; see ``detden_lite.victims.critic``.
             activation: of its hidden layers.
 
         Raises:
@@ -129,16 +148,26 @@ class Victim(nn.Module):
         return victim
 
     @classmethod
-    def from_sb3(cls, model, vecnormalize=None) -> "Victim":
-        """A frozen copy of a stable-baselines3 TD3 or PPO model, or of an sbx-rl one.
+    def from_sb3(
+        cls, model: "BaseAlgorithm", vecnormalize: "VecNormalize | None | EllipsisType" = ...
+    ) -> "Victim":  # fmt: skip
+        """A frozen copy of a TD3, DDPG, PPO or A2C model of stable-baselines3, or of sbx-rl.
 
         Args:
             model: the trained model, with plain MLP networks and a Box action space.
-            vecnormalize: the ``VecNormalize`` it was trained in, if any; it becomes the victim's first layer.
+            vecnormalize: the ``VecNormalize`` it was trained in, which becomes the victim's first layer; None if it was
+                trained without one. It may be left out for a model that still has its environment: that one tells. A
+                model that was loaded from a file has none.
 
         Raises:
-            ValueError: if the model is of another kind, its networks are no plain MLPs, its VecNormalize was forgotten,
-                or the copy acts differently.
+            ValueError: if the model is of another kind, its networks are no plain MLPs, its VecNormalize was forgotten
+                or not spoken of, or the copy acts differently.
+
+        Example:
+            >>> from stable_baselines3 import TD3
+            >>> model = TD3("MlpPolicy", "Pendulum-v1", policy_kwargs=dict(net_arch=[8]), buffer_size=1)
+            >>> Victim.from_sb3(model).config["actor"]
+            [3, 8, 1]
         """
         from detden_lite.victims.sb3 import copy_of
 

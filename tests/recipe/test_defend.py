@@ -197,7 +197,7 @@ class Odd(gymnasium.Env):
         (dict(seed=1.5), "seed: it must be a whole number of at least 0, not 1.5"),
         (dict(seed=-1), "seed: it must be a whole number"),
         (dict(seed=True), "seed: it must be a whole number"),
-        (dict(victim="ppo.zip"), "model: str is neither"),
+        (dict(victim="ppo.zip"), "model: str is none of"),
         (dict(env="Nowhere-v5"), "env: .*Nowhere"),
         (dict(env=Odd()), "env: it has no spec"),
         (dict(env="CartPole-v1"), "env: the actions of CartPole-v1 must be vectors"),

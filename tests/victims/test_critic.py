@@ -201,3 +201,16 @@ def test_a_deterministic_victim_is_refused(drives):
 def test_one_episode_is_too_few(driver):
     with pytest.raises(ValueError, match="episodes: at least two"):
         learn(driver, RECIPE, [3])
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        dict(episodes=1), dict(net=0), dict(epochs=0), dict(epochs=1.5), dict(batch=0), dict(learning_rate=0.0),
+        dict(learning_rate=-1.0), dict(gamma=1.5), dict(gamma=np.nan), dict(lam=-0.1), dict(lam=1.1),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_recipe_with_a_bad_number_is_refused_by_name(change):
+    with pytest.raises(ValueError, match=f"{next(iter(change))} must be"):
+        replace(RECIPE, **change)

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 import torch
 from builders import HOPPER, make_victim, normal
-from stable_baselines3 import DDPG, PPO, SAC, TD3
+from stable_baselines3 import A2C, DDPG, DQN, PPO, SAC, TD3
 from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
@@ -62,15 +62,16 @@ def test_the_activation_is_found(hopper, activation):
     assert np.allclose(Victim.from_sb3(model)(obs), expected_action(model, obs), atol=1e-5)
 
 
+@pytest.mark.parametrize("algorithm", [PPO, A2C])
 @pytest.mark.parametrize("normalized", [False, True])
-def test_a_ppo_model_with_and_without_its_normaliser(normalized):
+def test_a_gaussian_model_with_and_without_its_normaliser(algorithm, normalized):
     env = DummyVecEnv([lambda: gymnasium.make("Hopper-v5")])
     if normalized:
         env = VecNormalize(env, clip_obs=1.0, epsilon=0.1)
         env.reset()
         for _ in range(30):
             env.step([env.action_space.sample()])
-    model = PPO("MlpPolicy", env, policy_kwargs=dict(NET), seed=1, n_steps=16, batch_size=16)
+    model = algorithm("MlpPolicy", env, policy_kwargs=dict(NET), seed=1, n_steps=16)
     victim = Victim.from_sb3(model, env if normalized else None)
     obs = normal(50, 11) * 2
     seen = torch.tensor(env.normalize_obs(obs.numpy()) if normalized else obs.numpy())
@@ -81,10 +82,11 @@ def test_a_ppo_model_with_and_without_its_normaliser(normalized):
     assert torch.allclose(victim.value(obs), model.policy.predict_values(seen).squeeze(-1), atol=1e-5)
 
 
-def test_a_td3_model_of_sbx(hopper):
+@pytest.mark.parametrize("name", ["TD3", "DDPG"])
+def test_a_td3_model_of_sbx(hopper, name):
     import sbx
 
-    model = sbx.TD3("MlpPolicy", hopper, policy_kwargs=dict(NET), seed=1, buffer_size=10)
+    model = getattr(sbx, name)("MlpPolicy", hopper, policy_kwargs=dict(NET), seed=1, buffer_size=10)
     victim, obs = Victim.from_sb3(model), normal(50, 11)
     action = victim(obs)
     assert np.allclose(action, expected_action(model, obs), atol=1e-5)
@@ -170,8 +172,16 @@ def test_models_of_another_kind_are_refused(hopper):
         model = algorithm("MlpPolicy", hopper, policy_kwargs=dict(NET))
         with pytest.raises(ValueError, match=f"model: {algorithm.__name__}"):
             Victim.from_sb3(model)
-    with pytest.raises(ValueError, match="model: NoneType is neither"):
-        Victim.from_sb3(None)
+    model = DQN("MlpPolicy", "CartPole-v1", buffer_size=1)
+    for other, name in (
+        (model, "DQN"),
+        (None, "NoneType"),
+        ("model.zip", "str"),
+        (PPO, "ABCMeta"),
+        (object(), "object"),
+    ):
+        with pytest.raises(ValueError, match=f"model: {name} is none of TD3, DDPG, PPO, A2C"):
+            Victim.from_sb3(other)
 
 
 class Odd(gymnasium.Env):
@@ -226,7 +236,27 @@ def test_a_forgotten_normaliser_is_missed():
     assert torch.equal(Victim.from_sb3(model).normalize(normal(4, 11)), normal(4, 11))
 
 
-def test_a_normaliser_of_which_nobody_knows_is_not_invented(hopper):
+@pytest.mark.parametrize("algorithm", [PPO, A2C, TD3])
+def test_a_loaded_model_says_nothing_of_its_normaliser(tmp_path, algorithm):
+    """It must be given, or None said: an environment would tell, and a file has none."""
+    env, settings = VecNormalize(DummyVecEnv([Wide])), TD3_SETTINGS if algorithm is TD3 else dict(n_steps=16)
+    algorithm("MlpPolicy", env, policy_kwargs=dict(NET), **settings).learn(64).save(tmp_path / "model.zip")
+    model = algorithm.load(tmp_path / "model.zip")
+    with pytest.raises(ValueError, match="vecnormalize: this .* was loaded without its environment.*vecnormalize=None"):
+        Victim.from_sb3(model)
+    assert torch.equal(Victim.from_sb3(model, vecnormalize=None).obs_mean, torch.zeros(11))
+    found = Victim.from_sb3(model, vecnormalize=env)
+    assert np.allclose(found.obs_mean, env.obs_rms.mean, atol=1e-6) and (found.obs_mean != 0).any()
+
+
+def test_a_normaliser_that_is_none_is_refused(hopper):
+    model = PPO("MlpPolicy", hopper, policy_kwargs=dict(NET), n_steps=16, batch_size=16)
+    for other in ("yes", VecNormalize(DummyVecEnv([lambda: gymnasium.make("Pendulum-v1")]))):
+        with pytest.raises(ValueError, match=r"vecnormalize: give a VecNormalize of observations \(11,\), or None"):
+            Victim.from_sb3(model, other)
+
+
+def test_a_model_with_its_bare_environment_has_no_normaliser(hopper):
     """Without VecNormalize the victim sees what the network sees."""
     model = PPO("MlpPolicy", hopper, policy_kwargs=dict(NET), n_steps=16, batch_size=16)
     assert torch.equal(Victim.from_sb3(model).normalize(normal(4, 11)), normal(4, 11))

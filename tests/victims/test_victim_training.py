@@ -20,7 +20,7 @@ from detden_lite.core.files import ArtifactError
 from detden_lite.core.tasks import get_task
 from detden_lite.simulation.training_worlds import task_worlds, train_victim
 from detden_lite.victims import checkpoints, training
-from detden_lite.victims.recipes import PPORecipe, TD3Recipe
+from detden_lite.victims.recipes import AdversaryRecipe, PPORecipe, TD3Recipe
 from detden_lite.victims.victim import Victim
 
 RECIPES = dict(
@@ -32,7 +32,7 @@ TRAIN = """
 from pathlib import Path
 from detden_lite.simulation import training_worlds
 from detden_lite.core.tasks import get_task
-from detden_lite.victims.recipes import PPORecipe, TD3Recipe
+from detden_lite.victims.recipes import AdversaryRecipe, PPORecipe, TD3Recipe
 from detden_lite.simulation.training_worlds import train_victim
 import sys
 train_victim(get_task("hopper"), {recipe}, 0, Path(sys.argv[1]), checkpoint_seconds=0)
@@ -309,7 +309,7 @@ from pathlib import Path
 from detden_lite.core.files import ArtifactError
 from detden_lite.simulation import training_worlds
 from detden_lite.core.tasks import get_task
-from detden_lite.victims.recipes import PPORecipe, TD3Recipe
+from detden_lite.victims.recipes import AdversaryRecipe, PPORecipe, TD3Recipe
 from detden_lite.simulation.training_worlds import train_victim
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -344,3 +344,32 @@ def test_a_full_disk_leaves_the_last_checkpoint_whole(tmp_path, begun, uninterru
         assert len(contents(tmp_path / str(quota))) == (5 if refused == "npz" else 1)
     train_victim(HOPPER, recipe, 0, tmp_path / str(quota))  # there is room again
     assert contents(tmp_path / str(quota)) == contents(uninterrupted)
+
+
+@pytest.mark.parametrize(
+    ("recipe", "change"),
+    [
+        *((TD3Recipe(), {name: value}) for name in ("steps", "segment", "net", "batch") for value in (0, -1, 1.5)),
+        *((TD3Recipe(), {name: 0}) for name in ("buffer", "envs", "updates")),
+        (TD3Recipe(), dict(learning_starts=-1)),
+        (TD3Recipe(), dict(action_noise=-0.1)),
+        *((PPORecipe(), {name: value}) for name in ("steps", "segment", "net", "rollout") for value in (0, -1, 1.5)),
+        *((PPORecipe(), {name: 0}) for name in ("envs", "epochs", "batch")),
+        *((PPORecipe(), {name: value}) for name in ("gamma", "gae_lambda") for value in (-0.1, 1.1, np.nan)),
+        (PPORecipe(), dict(clip=0.0)),
+        (PPORecipe(), dict(log_std=np.inf)),
+        (PPORecipe(), dict(activation="elu")),
+        *(
+            (kind(), dict(learning_rate=rate))
+            for kind in (TD3Recipe, PPORecipe, AdversaryRecipe)
+            for rate in (0, np.nan)
+        ),
+        (AdversaryRecipe(), dict(timing="random")),
+        (AdversaryRecipe(), dict(entropy=-1.0)),
+        (AdversaryRecipe(), dict(steps=0)),
+    ],
+    ids=str,
+)
+def test_a_recipe_with_a_bad_number_is_refused_by_name(recipe, change):
+    with pytest.raises(ValueError, match=f"{next(iter(change))} must be"):
+        replace(recipe, **change)
