@@ -150,10 +150,11 @@ def test_a_bad_snapshot_is_refused(run, harm):
     assert not (run.folder / "adversary.json").exists()
 
 
-def test_a_member_outside_the_grid_is_refused(run):
+def test_a_member_outside_the_grid_is_refused(tmp_path):
+    """Before anything is loaded: this run has no victim."""
     for member in (-1, 2):
         with pytest.raises(ValueError, match=f"member must be between 0 and 1 at this scale, not {member}"):
-            adversary_stages.train_member(run, member)
+            adversary_stages.train_member(Run.of(tmp_path, "hopper", "td3", "tiny"), member)
 
 
 def test_a_member_is_trained_on_the_victim_of_the_run(run):
