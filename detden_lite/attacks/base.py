@@ -1,4 +1,4 @@
-"""What the attacks here share: their ball, and the checks at the first call after a reset."""
+"""The base class of the attacks here: their ball, and the checks at the first call after a reset."""
 
 from collections.abc import Sequence
 from numbers import Real
@@ -31,7 +31,7 @@ def check_budget(budget: Budget, obs_dim: int | None) -> None:
 
 
 class BallAttack:
-    """An attack within a ball: a base class that is convenient, and that the contract does not ask for.
+    """An attack within a ball. The contract does not require this base class: it checks what every attack should.
 
     Args:
         budget: the ball.
@@ -43,8 +43,8 @@ class BallAttack:
 
     Example:
         >>> from detden_lite import Budget
-        >>> class Shift(BallAttack):
-        ...     # raises every number as far as the ball allows
+        >>> from detden_lite.attacks.base import BallAttack
+        >>> class Shift(BallAttack):  # raises every number as far as the ball allows
         ...     def __call__(self, obs, world=None):
         ...         self.check(obs)
         ...         return self.budget.project(obs, obs + 1)

@@ -21,12 +21,12 @@ class PrintedAttack(InformedAttack):
     """An attack on pi(den(.)) in place of pi, with the detector's l_det in the objective.
 
     Three things are wrong with it. Where the detector is deceived the action is pi(o_hat) and not pi(den(o_hat)). The
-    appendix's l_det is not the detector's score; to raise it raises the alarm, unless det(o) is far from o already. And
-    every gradient is of one sample of the latents' noise: here a new one at each evaluation, as for anyone who calls
-    the networks in the attack's loop.
+    appendix's l_det is not the detector's score: to increase it raises the alarm, unless det(o) is far from o already.
+    And every gradient is of a single sample of the latents' noise, a new one at each evaluation, because the attack's
+    loop calls the networks directly.
 
-    Lengths are printed without a square, and are so here: in a sum it matters. l_det is in the units of the detector's
-    score, and the opposite attack goes away from pi(den(o)).
+    The paper prints lengths without a square, and so they are here: in a sum it matters. l_det is in the units of the
+    detector's score, and the opposite attack moves the action away from pi(den(o)).
 
     Args:
         attack: opposite, Q-function or enchanting; its steps, restarts and random starts are used.

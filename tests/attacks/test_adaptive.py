@@ -96,12 +96,12 @@ def warm_defense(obs_dim: int = 11, n: int = 4, steps: int = 3, **parts) -> Dete
 
 
 def in_effect(toy: Toy, seen: Tensor) -> Tensor:
-    """What the defended policy sees in the end, of a toy without noise."""
+    """The observation that the defended policy acts on, for a toy without noise."""
     alarm = (seen - toy.prediction).abs().amax(-1) > toy.radius
     return torch.where(alarm[:, None], toy.den(seen, torch.zeros(1, *seen.shape))[0], seen)
 
 
-# What is seen of a defence
+# The view of a defence
 
 
 @pytest.mark.parametrize("steps", [0, 3])
@@ -156,7 +156,7 @@ def test_the_attackers_samples_have_the_same_distribution():
 
 
 def test_the_gradient_of_the_mean_varies_less():
-    """As 1 / K: a sixteenth, were the gradients of the samples independent of each other's rows."""
+    """The variance falls as 1 / K: to a sixteenth here, up to sampling error."""
     victim, obs, defense = make_victim(), normal(4, 11), warm_defense()
     rows, streams = torch.ones(4, dtype=torch.bool), RandomStreams(0)
     objective = OppositeAttack(victim, BUDGET).objective(obs + 1)
@@ -187,7 +187,7 @@ def test_a_defence_without_networks_is_refused():
 
 
 def a_box(radius: float, kept: float) -> tuple[Victim, Tensor, Toy, Tensor]:
-    """A box that holds o, a denoiser that keeps a part of the perturbation, and how far the action can be moved."""
+    """A box around o, a denoiser that keeps a share of the perturbation, and how far the action can be moved."""
     victim, weight = linear_victim()
     obs = normal(20, 6)
     prediction = obs + 0.04 * normal(20, 6, seed=1).tanh()
@@ -231,7 +231,7 @@ def test_it_is_never_weaker_than_the_unaware_attack():
 
 
 def test_a_denoiser_without_gradient_stops_only_the_printed_attacks():
-    """It puts out the truth, whatever it sees: what is to be gained is under the detector's nose."""
+    """Its output is always the truth, so that only undetected perturbations do damage."""
     victim, obs, toy, most = a_box(0.06, 0.0)
     plain = OppositeAttack(victim, Budget(EPSILON), steps=80)
     for form in ("text", "appendix"):
@@ -242,7 +242,7 @@ def test_a_denoiser_without_gradient_stops_only_the_printed_attacks():
 
 
 def test_noise_stops_only_the_printed_attack():
-    """What is denoised is noisy, and always shown; which way the action should go, only the mean tells."""
+    """The policy always acts on a noisy denoised observation; only the mean tells which direction does damage."""
     victim, obs = Quadratic(), normal(40, 6)
     toy = Toy(obs, -1.0, lambda seen, noise: seen + 2 * noise)
     plain = QFunctionAttack(victim, Budget(EPSILON), steps=20)
@@ -259,7 +259,7 @@ def test_noise_stops_only_the_printed_attack():
 
 
 def test_the_gradient_free_search_reveals_masked_gradients():
-    """A denoiser that rounds, and turns every other perturbation round: no gradient, and no use of the plain attack."""
+    """A denoiser that rounds, and inverts every other perturbation: no gradient, and the plain attack does not help."""
     victim, weight = linear_victim()
     obs, turn = normal(20, 6), torch.tensor([1.0, -1.0] * 3)
     step = EPSILON / 2
@@ -293,7 +293,7 @@ def test_damage_is_defined_by_the_given_attack():
     assert torch.allclose(victim.mean(in_effect(toy, found)), torch.zeros(()), atol=1e-3)
 
 
-# What holds for all of them
+# Invariants of all of them
 
 
 def made(kind: str, plain, view=view_defense):
@@ -371,7 +371,7 @@ def test_the_memory_and_noise_of_the_defence_are_unchanged(kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_episodes_in_lockstep_equal_episodes_alone(kind):
-    """And an episode is the same whoever runs beside it."""
+    """An episode does not depend on the others beside it."""
     victim = make_victim(seed=8)
 
     def run(seeds):
@@ -412,7 +412,7 @@ def test_a_coupled_perturbation_keeps_its_pace(pace):
         change = ((perturbation - last) / scale).abs()
         assert change.max() <= pace * EPSILON + 1e-6 and (perturbation / scale).abs().max() <= EPSILON + 1e-6
         last, longest = perturbation, max(longest, float((perturbation / scale).abs().max()))
-    assert longest > min(EPSILON, 4 * pace * EPSILON)  # it gets somewhere
+    assert longest > min(EPSILON, 4 * pace * EPSILON)  # the pace alone does not keep it near zero
 
 
 def test_an_unwanted_step_starts_the_drift_again():

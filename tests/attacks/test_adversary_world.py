@@ -12,7 +12,7 @@ N, STEPS = 3, 40
 
 
 class Scripted:
-    """Perturbs as the adversary did: with the same actions, one after the other."""
+    """Perturbs with the same actions as the adversary, one a step."""
 
     needs = frozenset()
 
@@ -28,7 +28,7 @@ class Scripted:
 
 
 def play(env, actions):
-    """What the environment answers; the seeds are those of the first episodes."""
+    """The environment's answers to these actions, and the seeds of the first episodes."""
     first = env.reset()
     seeds = list(env.simulator.seeds)
     obs, rewards, dones, infos = zip(*(env.step(a) for a in actions), strict=True)
@@ -40,7 +40,7 @@ def actions(steps: int = STEPS, n: int = N) -> torch.Tensor:
 
 
 def make(timing: str = "always", defense=None, **options) -> tuple:
-    """The environment, and what a rollout with the same parts needs. The victim keeps its feet for 20 steps or more."""
+    """The environment, and what a rollout with the same parts needs. The victim stands for 20 steps or more."""
     victim = make_victim(seed=8)
     values = victim.value(torch.from_numpy(rollout(victim, HOPPER, range(4), steps=20).obs.reshape(-1, 11)))
     parts = dict(always=lambda: None, vulnerable=lambda: Vulnerable(victim, float(values.median())),
@@ -65,7 +65,7 @@ def test_rewards_are_the_negated_rewards_of_the_victim(timing, defense):
 
 @pytest.mark.parametrize("defense", [None, True])
 def test_the_next_episode_equals_one_that_began_alone(defense):
-    """A fall ends an episode; another begins with a fresh seed, and nothing in it is left of the one before."""
+    """After a fall another episode begins with a fresh seed, and does not depend on the one before."""
     env, victim, _ = make(defense=defense)
     script = actions(200)
     obs, rewards, dones, infos, seeds = play(env, script.numpy())

@@ -1,4 +1,4 @@
-"""An attack in a loop of one's own: inside the ball, told in info, and the same that rollout does."""
+"""The wrapper's perturbations: inside the ball, reported in info, and equal to those of rollout."""
 
 import gymnasium
 import numpy as np
@@ -26,7 +26,7 @@ def attacked(timing=None, budget=BUDGET) -> AttackedObservations:
 
 
 def episode(env, steps: int = 30, **reset) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What was seen, what was true, and when it was attacked; the policy acts on what it sees."""
+    """The observations that were seen, the true ones, and when they were attacked; the policy acts on the former."""
     obs, info = env.reset(**reset)
     rows = []
     for _ in range(steps):

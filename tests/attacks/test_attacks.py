@@ -190,7 +190,7 @@ def test_a_clipped_gaussian_policy_can_still_be_attacked():
 
 
 def unlike(dim: int, gaussian: bool, activation: str, seed: int) -> Victim:
-    """A victim whose normaliser, bounds and Sigma are nobody's default."""
+    """A victim whose normaliser, bounds and Sigma all differ from the defaults."""
     torch.manual_seed(seed)
     victim = Victim(
         [dim, 16, 16, 2], [dim + 2, 8, 1], n_critics=2, activation=activation, critic_activation="tanh",

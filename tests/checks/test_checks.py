@@ -1,4 +1,4 @@
-"""What every check of an exercise does with a student's function that is not written yet, or gives nothing back."""
+"""Every check of an exercise handles a function that is not written yet, and one that returns nothing."""
 
 import pkgutil
 from importlib import import_module
