@@ -12,7 +12,16 @@ FORBIDDEN = (errno.EACCES, errno.EPERM, errno.EROFS)
 
 
 class ArtifactError(Exception):
-    """A file of data/ is missing, altered, or not what it should be; the message says which and what to do."""
+    """A file of data/ is missing, altered, or not what it should be; the message says which and what to do.
+
+    Example:
+        >>> from detden_lite import load_victim
+        >>> try:
+        ...     load_victim("hopper", "td3", root=Path("nowhere"))
+        ... except ArtifactError as error:
+        ...     print(error)
+        nowhere/hopper-td3/victim.safetensors is missing
+    """
 
 
 def unwritable(path: Path, error: OSError) -> ArtifactError:

@@ -12,6 +12,11 @@ class Task:
 
     ``obs_dim`` is what gymnasium's v5 shows; ``paper_obs_dim`` is what the paper had. They differ where v5 drops
     observations that never change (Ant, Humanoid). A task of your own needs the first five numbers.
+
+    Example:
+        >>> task = Task("reacher", "Reacher-v5", epsilon=0.05, obs_dim=10, action_dim=2, horizon=50)
+        >>> task.env_id, task.hidden
+        ('Reacher-v5', 64)
     """
 
     name: str

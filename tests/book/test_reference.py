@@ -1,14 +1,25 @@
 """The architecture page and the API reference say what the library is."""
 
+import doctest
+import inspect
 import re
+from importlib import import_module
 
 import api_reference
 import architecture
 import project
+import pytest
 from conftest import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
 
+import detden_lite
+
+MODULES = [
+    ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    for path in sorted(architecture.LIBRARY.glob("*/*.py"))
+    if ">>> " in path.read_text("utf-8")
+]
 PAGES = {path.stem: path.read_text("utf-8") for path in (ROOT / "book" / "api").glob("*.md")}
 
 
@@ -60,3 +71,16 @@ def test_the_repository_address_is_one_setting_that_may_be_missing():
     assert project.source('[project]\nname = "x"\n') == project.source("[project]\n[project.urls]\n") == ""
     assert project.source('[project.urls]\nSource = "https://example.org/x"\n') == "https://example.org/x"
     project.source(project.PYPROJECT.read_text("utf-8"))
+
+
+@pytest.mark.parametrize("name", [name for name in detden_lite.__all__ if inspect.isclass(getattr(detden_lite, name))])
+def test_every_public_class_has_an_example_that_runs(name):
+    text = inspect.getdoc(getattr(detden_lite, name)) or ""
+    assert "\nExample:\n" in text and ">>> " in text.split("\nExample:\n")[1]
+    assert getattr(detden_lite, name).__module__ in MODULES
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_the_examples_of_a_module_give_what_they_print(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert doctest.testmod(import_module(name)).failed == 0
