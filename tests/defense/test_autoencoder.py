@@ -40,6 +40,7 @@ def same(model, other) -> bool:
     return all(torch.equal(value, other.state_dict()[name]) for name, value in model.state_dict().items())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("residual", [False, True])
 def test_noisy_observations_are_brought_back_to_the_data(residual):
     model = train_autoencoder(NORMAL, INPUTS, 0, residual=residual, **SMALL)

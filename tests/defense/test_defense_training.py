@@ -55,6 +55,7 @@ def kill_after(last: int):
     return after_epoch
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("last", "more"), [(0, {}), (2, {}), *((1, more) for more in MORE)])
 def test_a_killed_and_resumed_training_equals_an_uninterrupted_one(tmp_path, last, more):
     recipe, context = replace(RECIPE, **more), dict(regularizer=REGULARIZER)
@@ -243,6 +244,7 @@ def test_training_lowers_the_loss_on_trajectories_it_has_not_seen():
     assert loss(30) < 0.5 * loss(1)
 
 
+@pytest.mark.slow
 def test_a_denoiser_comes_closer_to_the_truth_than_its_input():
     """Attacked trajectories are shifted by as much as they vary; half of the pairs are not attacked."""
 

@@ -136,6 +136,7 @@ films.still(root / "expected.png", run.task, dict(clean=clean), median, seconds=
 """
 
 
+@pytest.mark.slow
 def test_a_portrait_is_a_small_film_of_the_median_episode(tmp_path):
     root = tmp_path / "run"
     ship_victim(root)

@@ -243,6 +243,7 @@ assert (root / "model.ckpt").read_bytes() != kept
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such quota")
 def test_a_full_disk_leaves_every_file_as_it_was(root):
     """A quota of this many bytes a file. In the fifth case there is room for the file, but not for the manifest."""
@@ -277,6 +278,7 @@ manifest.write_json(root / "results" / "cell.json", dict(mean=2.5, more="x" * 10
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
 @pytest.mark.parametrize("name", [r"cell\.json\..+\.new", r"cell\.json"])
 def test_a_kill_while_writing_leaves_the_old_file(root, name):
