@@ -66,7 +66,7 @@ _FACE = {
     "store.manifest": "DATA read_json",
     "store.models": "load_adversary load_defense load_model load_victim",
     "results.cells": "Cell table_cells",
-    "results.records": "load_record",
+    "results.records": "EpisodeScores Record load_record",
     "results.bare_victims": "UNATTACKED",
     "looking.widgets": "frames",
     "looking.robot": "Robot",

@@ -55,7 +55,9 @@ def replace_files(files: Mapping[Path, bytes]) -> None:
         ArtifactError: if one of them cannot be written.
     """
     with ExitStack() as stack:
-        for path, content in files.items():
+        for path, content in reversed(
+            list(files.items())
+        ):  # a stack unwinds backwards: the first takes its place first
             new = Path(stack.enter_context(replacing(path, "")))
             new.write_bytes(content)
             _sync(new)

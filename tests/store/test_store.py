@@ -289,6 +289,31 @@ def test_a_kill_while_writing_leaves_the_old_file(root, name):
     assert read_cell(root) == dict(mean=3.5)
 
 
+KILLED_REPLACEMENT = """
+import os, pathlib, signal, sys
+from detden_lite.store import manifest
+
+replace = os.replace
+
+def replace_and_die(source, target):
+    replace(source, target)
+    os.kill(os.getpid(), signal.SIGKILL)
+
+os.replace = replace_and_die
+root = pathlib.Path(sys.argv[1])
+manifest.write_together({root / "new.json": b"{}", root / "other.json": b"{}"}, root)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
+def test_the_manifest_promises_only_files_in_their_place(root):
+    """A process that dies between two replacements has replaced the first file, and the manifest would be the last."""
+    before = (root / "manifest.json").read_bytes()
+    assert subprocess.run([sys.executable, "-c", KILLED_REPLACEMENT, str(root)]).returncode == -9
+    assert (root / "manifest.json").read_bytes() == before
+    assert (root / "new.json").exists() and not (root / "other.json").exists()
+
+
 def test_the_manifest_lists_the_files_of_parallel_writers(tmp_path):
     def write(i):
         manifest.write_json(tmp_path / f"{i}.json", dict(i=i), tmp_path)
