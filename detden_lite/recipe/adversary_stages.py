@@ -13,13 +13,13 @@ from detden_lite.attacks.optimal import OptimalAttack
 from detden_lite.core.types import Attack, Timing
 from detden_lite.defense.pipeline import DetectAndDenoise
 from detden_lite.defense.variants import MAIN
-from detden_lite.recipe import episode_seeds, linear_search
+from detden_lite.recipe import episode_seeds, linear_search, selection
 from detden_lite.recipe.linear_search import LinearMaps, LinearRecipe
 from detden_lite.recipe.run import Run
 from detden_lite.recipe.scales import Scale
 from detden_lite.simulation.rollout import rollout
 from detden_lite.store import manifest, models, tensors
-from detden_lite.victims import selection, training
+from detden_lite.victims import training
 from detden_lite.victims.recipes import AdversaryRecipe
 from detden_lite.victims.victim import Victim
 

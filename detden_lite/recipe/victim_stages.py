@@ -8,13 +8,13 @@ from dataclasses import asdict
 import numpy as np
 
 from detden_lite.core import estimates
-from detden_lite.recipe import episode_seeds
+from detden_lite.recipe import episode_seeds, selection
 from detden_lite.recipe.run import Run
 from detden_lite.recipe.scales import Scale
 from detden_lite.simulation import training_worlds
 from detden_lite.simulation.rollout import rollout
 from detden_lite.store import manifest, models, tensors
-from detden_lite.victims import critic, selection
+from detden_lite.victims import critic
 from detden_lite.victims.victim import Victim
 
 

@@ -125,11 +125,9 @@ def learn_q(
                 falling.step()
                 total += loss.item()
             bar.set_postfix(loss=f"{total / batches:.4f}")
-    last = net[-1]
-    assert isinstance(last, nn.Linear)
     with torch.no_grad():
-        last.weight.mul_(scale)
-        last.bias.mul_(scale)
+        for parameter in net[-1].parameters():
+            parameter.mul_(scale)
     return net.requires_grad_(False), fit(net, victim, kept, horizon, recipe)
 
 

@@ -76,18 +76,11 @@ class TD3Recipe:
         env = self._normalized(worlds)
         zero = np.zeros(env.action_space.shape or ())
         return TD3(
-            "MlpPolicy",
-            env,
-            learning_rate=self.learning_rate,
-            batch_size=self.batch,
-            learning_starts=self.learning_starts,
-            buffer_size=self.buffer,
-            train_freq=self.updates,
-            gradient_steps=self.envs * self.updates,
-            action_noise=NormalActionNoise(zero, zero + self.action_noise),
-            policy_kwargs=dict(net_arch=[self.net, self.net]),
-            seed=seed,
-        )
+            "MlpPolicy", env, learning_rate=self.learning_rate, batch_size=self.batch,
+            learning_starts=self.learning_starts, buffer_size=self.buffer, train_freq=self.updates,
+            gradient_steps=self.envs * self.updates, action_noise=NormalActionNoise(zero, zero + self.action_noise),
+            policy_kwargs=dict(net_arch=[self.net, self.net]), seed=seed,
+        )  # fmt: skip
 
     def begin_segment(self, model: "TD3", worlds: Worlds, done: float) -> None:
         """Begin new episodes. ``done`` is the completed share of the training."""
@@ -164,24 +157,13 @@ class PPORecipe:
         import jax
         from sbx import PPO
 
+        activation = dict(tanh=jax.numpy.tanh, relu=jax.nn.relu)[self.activation]
+        networks = dict(net_arch=[self.net, self.net], activation_fn=activation, log_std_init=self.log_std)
         return PPO(
-            "MlpPolicy",
-            self._normalized(worlds),
-            learning_rate=self.learning_rate,
-            n_steps=self.rollout,
-            batch_size=self.batch,
-            n_epochs=self.epochs,
-            gamma=self.gamma,
-            gae_lambda=self.gae_lambda,
-            clip_range=self.clip,
-            policy_kwargs=dict(
-                net_arch=[self.net, self.net],
-                activation_fn=dict(tanh=jax.numpy.tanh, relu=jax.nn.relu)[self.activation],
-                log_std_init=self.log_std,
-                ortho_init=True,
-            ),
-            seed=seed,
-        )
+            "MlpPolicy", self._normalized(worlds), learning_rate=self.learning_rate, n_steps=self.rollout,
+            batch_size=self.batch, n_epochs=self.epochs, gamma=self.gamma, gae_lambda=self.gae_lambda,
+            clip_range=self.clip, policy_kwargs=networks | dict(ortho_init=True), seed=seed,
+        )  # fmt: skip
 
     def begin_segment(self, model: "PPO", worlds: Worlds, done: float) -> None:
         """Begin new episodes. ``done`` is the completed share of the training."""

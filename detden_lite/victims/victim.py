@@ -45,15 +45,9 @@ class Victim(nn.Module):
     action_std: Tensor | None
 
     def __init__(
-        self,
-        actor: list[int],
-        critic: list[int] | None = None,
-        value: list[int] | None = None,
-        n_critics: int = 2,
-        activation: str = "relu",
-        critic_activation: str | None = None,
-        gaussian: bool = False,
-    ) -> None:
+        self, actor: list[int], critic: list[int] | None = None, value: list[int] | None = None, n_critics: int = 2,
+        activation: str = "relu", critic_activation: str | None = None, gaussian: bool = False,
+    ) -> None:  # fmt: skip
         super().__init__()
         self.config: dict[str, Any] = dict(
             actor=actor, critic=critic, value=value, n_critics=n_critics, activation=activation,
@@ -148,9 +142,7 @@ class Victim(nn.Module):
         return victim
 
     @classmethod
-    def from_sb3(
-        cls, model: "BaseAlgorithm", vecnormalize: "VecNormalize | None | EllipsisType" = ...
-    ) -> "Victim":  # fmt: skip
+    def from_sb3(cls, model: "BaseAlgorithm", vecnormalize: "VecNormalize | None | EllipsisType" = ...) -> "Victim":
         """A frozen copy of a TD3, DDPG, PPO or A2C model of stable-baselines3, or of sbx-rl.
 
         Args:

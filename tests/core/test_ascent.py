@@ -73,13 +73,13 @@ def test_epsilon_zero_changes_nothing(norm):
     assert torch.equal(ascend(opposite_objective(make_victim(), obs), obs, Budget(0.0, norm), RandomStreams(0)), obs)
 
 
-def test_one_step_without_a_random_start_is_the_fast_gradient_sign():
+def test_one_step_without_random_start_is_fast_gradient_sign():
     obs = torch.zeros(1, 3)
     found = ascend(lambda x: x @ torch.tensor([2.0, -1.0, 0.5]), obs, Budget(0.1), None, steps=1)
     assert torch.allclose(found, torch.tensor([[0.1, -0.1, 0.1]]))
 
 
-def test_one_step_from_a_random_start_is_no_longer_than_epsilon():
+def test_one_step_from_a_random_start_has_length_epsilon():
     weights, obs, budget = normal(5, 6), normal(5, 6, seed=1), Budget(0.3)
     start = budget.sample(obs, RandomStreams(0))
     found = ascend(lambda x: (x * weights).sum(-1), obs, budget, RandomStreams(0), steps=1)

@@ -26,7 +26,7 @@ def test_samples_lie_in_the_ball(case, seed):
 
 @steady
 @given(cases())
-def test_what_is_inside_stays(case):
+def test_projection_keeps_points_inside_the_ball(case):
     budget, obs, far = case
     inside = budget.project(obs, far)
     again = budget.project(obs, inside)
@@ -68,7 +68,7 @@ def test_projection_is_the_nearest_point_that_scipy_finds(norm, seed):
 
 
 @pytest.mark.parametrize("norm", NORMS)
-def test_no_random_step_of_size_one_climbs_faster_than_the_steepest(norm):
+def test_no_random_step_climbs_faster_than_the_steepest(norm):
     budget = Budget(1.0, norm, torch.tensor([0.5, 1.0, 2.0, 3.0]))
     gradient, origin = normal(6, 4, seed=1), torch.zeros(6, 4)
     steepest = budget.steepest(gradient)

@@ -57,7 +57,7 @@ def test_files_that_belong_together_are_written_all_or_none(tmp_path):
     assert first.read_bytes() == b"old" and [file.name for file in tmp_path.iterdir()] == ["a"]
 
 
-def test_what_fails_on_the_way_leaves_the_old_file(tmp_path):
+def test_a_failed_write_leaves_the_old_file(tmp_path):
     path = tmp_path / "film.mp4"
     path.write_bytes(b"old")
     with pytest.raises(KeyError), replacing(path) as new:

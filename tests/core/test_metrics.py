@@ -43,7 +43,7 @@ def test_the_intervals_are_scipys_bootstrap():
     assert found.n == 60
 
 
-def test_the_same_values_give_the_same_interval_and_equal_values_a_point():
+def test_same_values_same_interval_and_equal_values_a_point():
     values = np.arange(10.0)
     assert estimate(values) == estimate(values)
     assert estimate(values**3) == estimate(values**3) != estimate(values**3, seed=1)
@@ -53,7 +53,7 @@ def test_the_same_values_give_the_same_interval_and_equal_values_a_point():
 
 
 @pytest.mark.parametrize("values", [[], [1.0, np.nan], [np.inf], np.ones((2, 3))])
-def test_what_has_no_mean_is_refused(values):
+def test_values_without_a_mean_are_refused(values):
     with pytest.raises(ValueError, match="values"):
         estimate(values)
 
@@ -69,7 +69,7 @@ def test_detector_scores_by_hand():
 
 
 @given(hit=st.integers(0, 50), miss=st.integers(0, 50), false=st.integers(0, 50), right=st.integers(1, 50))
-def test_f1_at_a_rate_is_the_f1_of_steps_that_are_counted(hit, miss, false, right):
+def test_f1_at_a_rate_is_that_of_counted_steps(hit, miss, false, right):
     attacked = np.repeat([True, True, False, False], [hit, miss, false, right])
     alarm = np.repeat([True, False, True, False], [hit, miss, false, right])
     scores = detector_scores(attacked, alarm)
@@ -79,12 +79,12 @@ def test_f1_at_a_rate_is_the_f1_of_steps_that_are_counted(hit, miss, false, righ
 
 
 @pytest.mark.parametrize("rates", [(0, 0.1, 0.1), (1.1, 0.1, 0.1), (0.5, -0.1, 0.1), (0.5, 0.1, 2), (np.nan, 0, 0)])
-def test_an_f1_at_what_is_no_rate_is_refused(rates):
+def test_an_f1_at_an_invalid_rate_is_refused(rates):
     with pytest.raises(ValueError, match="rate"):
         f1_at(*rates)
 
 
-def test_a_rate_of_nothing_is_none():
+def test_a_rate_without_cases_is_none():
     never, always = np.zeros(4, bool), np.ones(4, bool)
     quiet = detector_scores(never, never)
     assert (quiet.accuracy, quiet.f1, quiet.false_negative_rate, quiet.false_positive_rate) == (1, None, None, 0)
@@ -98,7 +98,7 @@ def test_alarms_that_do_not_fit_the_attacks_are_refused():
         detector_scores(np.ones((5, 3), bool), np.ones(3, bool))
 
 
-def test_the_error_of_the_denoiser_counts_attacked_steps_of_living_episodes():
+def test_the_denoisers_error_is_over_attacked_steps_before_the_end():
     obs = np.zeros((2, 2, 2))
     denoised = np.array([[[1.0, 3.0], [7.0, 7.0]], [[0.0, 2.0], [9.0, 9.0]]])
     attacked = np.array([[True, False], [True, True]])
@@ -145,7 +145,7 @@ def many_episodes(draw):
 
 @steady
 @given(many_episodes())
-def test_the_delay_is_counted_from_the_beginning_of_each_attack(episodes):
+def test_delays_are_counted_from_each_attacks_beginning(episodes):
     expected = []
     for i in range(episodes.mask.shape[1]):
         before = False
@@ -167,7 +167,7 @@ def test_the_delay_is_counted_from_the_beginning_of_each_attack(episodes):
     assert found.mean == (pytest.approx(np.mean(noticed)) if noticed else None)
 
 
-def test_the_delays_stand_in_the_order_in_which_the_attacks_begin():
+def test_delays_are_in_the_order_of_the_attacks():
     columns = [
         ("alarm", "..!..!", ".....!"),
         ("attacked", "xxx.x.", ".xxxxx"),  # 2, never (the alarm comes after the end); 4
@@ -189,7 +189,7 @@ def test_the_scores_auroc_is_that_of_living_steps(episodes, clean):
     assert score_auroc(episodes, clean) == auroc(positive, clean.score[clean.mask])
 
 
-def test_a_dimension_lives_if_it_varies_in_clean_episodes_before_they_end():
+def test_a_live_dimension_varies_within_clean_episodes():
     obs = np.zeros((3, 2, 4), np.float32)
     obs[..., 0] = 1e3  # constant
     obs[..., 1] = [[0, 1], [2, 3], [4, 5]]
@@ -202,7 +202,7 @@ def test_a_dimension_lives_if_it_varies_in_clean_episodes_before_they_end():
     assert mean_absolute_error(attacked, np.zeros(4, bool)) is None
 
 
-def test_a_summary_with_clean_episodes_says_what_needs_them_and_changes_nothing_else():
+def test_clean_episodes_only_add_to_a_summary():
     victim, defense = make_victim(seed=8), make_defense(threshold=1.5)
     clean = rollout(victim, HOPPER, range(6), defense=defense, steps=40)
     attacked = rollout(victim, HOPPER, range(6), attack=UniformNoise(BUDGET), defense=defense, steps=40)
@@ -224,7 +224,7 @@ def test_a_summary_with_clean_episodes_says_what_needs_them_and_changes_nothing_
         assert json.loads(json.dumps(found, allow_nan=False)) == found
 
 
-def test_a_summary_says_what_happened_and_ignores_what_came_after_the_end():
+def test_a_summary_ignores_the_steps_after_an_episodes_end():
     victim = make_victim(seed=8)
     parts = dict(attack=UniformNoise(BUDGET), timing=Random(0.5), defense=make_defense(threshold=1.5))
     episodes = rollout(victim, HOPPER, range(6), **parts, steps=40)

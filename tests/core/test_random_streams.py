@@ -5,13 +5,13 @@ from detden_lite.core.random_streams import RandomStreams
 
 
 @pytest.mark.parametrize("kind", ["normal", "uniform"])
-def test_an_episode_draws_the_same_whoever_runs_beside_it(kind):
+def test_an_episodes_random_numbers_do_not_depend_on_others(kind):
     alone, beside = RandomStreams(3, [7]), RandomStreams(3, [5, 7, 9])
     for _ in range(3):
         assert torch.equal(getattr(alone, kind)(1, 4)[0], getattr(beside, kind)(3, 4)[1])
 
 
-def test_episodes_and_drawers_draw_independently():
+def test_episodes_and_seeds_are_independent():
     first = RandomStreams(0, [1, 2]).normal(2, 8)
     assert not torch.equal(first[0], first[1])
     assert not torch.equal(first, RandomStreams(1, [1, 2]).normal(2, 8))
@@ -19,7 +19,7 @@ def test_episodes_and_drawers_draw_independently():
     assert not torch.equal(RandomStreams(1, [2]).normal(1, 8), RandomStreams(2, [1]).normal(1, 8))
 
 
-def test_every_draw_is_new_and_the_same_seed_repeats_it():
+def test_random_numbers_are_new_and_repeat_with_the_seed():
     streams, again = RandomStreams(0, [1]), RandomStreams(0, [1])
     first, second = streams.normal(1, 8), streams.normal(1, 8)
     assert not torch.equal(first, second)
@@ -59,7 +59,7 @@ def test_streams_without_any_episode_are_refused():
         RandomStreams(0, [])
 
 
-def test_a_row_may_begin_another_episode_while_the_others_go_on():
+def test_restart_changes_only_the_given_row():
     streams, beside, anew = RandomStreams(3, [5, 7]), RandomStreams(3, [5]), RandomStreams(3, [9])
     streams.normal(2, 4), beside.normal(1, 4)
     streams.restart(1, 9)

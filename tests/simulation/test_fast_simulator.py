@@ -57,7 +57,7 @@ def test_one_switch_gives_the_version_to_read():
     assert type(make_simulator("Hopper-v5", [0], fast=False)) is Simulator
 
 
-def test_a_world_that_has_ended_stays_as_it_is_and_its_neighbours_do_not_notice():
+def test_an_ended_world_stays_and_the_others_go_on():
     fast, plain = make_simulator("Hopper-v5", range(4)), Simulator("Hopper-v5", range(4))
     assert np.array_equal(fast.reset(), plain.reset())
     rng, counts = np.random.default_rng(0), set()

@@ -96,17 +96,17 @@ def test_noise_that_fits_neither_episodes_nor_actions_is_refused(shape):
 
 
 @pytest.mark.parametrize("attack", ["opposite", 1, object(), UniformNoise])
-def test_what_is_no_attack_is_refused(attack):
+def test_an_object_that_is_no_attack_is_refused(attack):
     refused("attack: .*give an", attack=attack)
 
 
 @pytest.mark.parametrize("timing", ["always", 1, Always])
-def test_what_is_no_timing_is_refused(timing):
+def test_an_object_that_is_no_timing_is_refused(timing):
     refused("timing: .*give a", attack=Attack(), timing=timing)
 
 
 @pytest.mark.parametrize("defense", ["mixed", 1, Defense])
-def test_what_is_no_defence_is_refused(defense):
+def test_an_object_that_is_no_defence_is_refused(defense):
     refused("defense: .*give a", defense=defense)
 
 

@@ -77,7 +77,7 @@ def test_the_same_seeds_give_the_same_episodes(episodes):
     assert not np.allclose(others.obs[0], episodes.obs[0])
 
 
-def test_who_sees_what(episodes):
+def test_attack_defence_and_policy_see_what_they_should(episodes):
     attacked, alarm = episodes.attacked[..., None], episodes.alarm[..., None]
     assert np.array_equal(np.where(attacked, episodes.obs, episodes.perturbed), episodes.obs)
     assert (episodes.perturbed != episodes.obs).any(-1)[episodes.attacked & episodes.mask].all()
@@ -160,7 +160,7 @@ def test_action_noise_may_be_each_actions_own():
         assert np.abs(same.action).max() <= 1
 
 
-def test_the_same_noise_whoever_runs_beside():
+def test_exploration_noise_does_not_depend_on_other_episodes():
     row = np.array([[0.1, 0.2, 0.4]], np.float32)
     bare = dict(attack=None, timing=None, defense=None, steps=5, action_noise=row)
     together, alone = play(**bare), play([SEEDS[3]], **bare)
@@ -209,6 +209,6 @@ class Broken(Curious):
 
 
 @pytest.mark.parametrize("defense", [None, make_defense()])
-def test_what_is_not_a_number_never_reaches_the_robot(defense):
+def test_nan_never_reaches_the_robot(defense):
     with pytest.raises(ValueError, match="NaN"):
         play(attack=Broken(), defense=defense)

@@ -30,7 +30,7 @@ def test_it_is_gymnasiums_own_environment_step_by_step(name):
         env.close()
 
 
-def test_an_ended_world_stays_as_it_is_until_the_next_reset():
+def test_an_ended_world_stays_until_the_next_reset():
     simulator = Simulator("Hopper-v5", [0, 1])
     first, action = simulator.reset(), np.ones((2, 3), np.float32)
     while simulator.alive.all():
@@ -45,7 +45,7 @@ def test_an_ended_world_stays_as_it_is_until_the_next_reset():
     assert np.array_equal(simulator.reset(), first) and simulator.alive.all()
 
 
-def test_one_world_may_start_another_episode_while_the_others_go_on():
+def test_one_world_restarts_and_the_others_go_on():
     simulator, alone = Simulator("Hopper-v5", [0, 1]), Simulator("Hopper-v5", [7])
     simulator.reset()
     action = np.ones((2, 3), np.float32)
@@ -62,7 +62,7 @@ def test_one_world_may_start_another_episode_while_the_others_go_on():
     assert not np.array_equal(simulator.state()[0], before)
 
 
-def test_what_was_returned_is_not_written_over():
+def test_returned_arrays_are_not_overwritten():
     simulator = Simulator("Hopper-v5", [0])
     first = simulator.reset()
     kept = first.copy()

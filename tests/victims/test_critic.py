@@ -87,7 +87,7 @@ def test_targets_are_those_of_a_loop_over_single_episodes(lengths, horizon, gamm
     assert not found[~mask].any()
 
 
-def test_with_lambda_one_a_target_is_the_discounted_return_whatever_q_says():
+def test_with_lambda_one_a_target_is_the_discounted_return():
     rng = np.random.default_rng(0)
     reward, q = rng.normal(size=(2, 7, 3))
     lengths = np.array([7, 4, 1])
@@ -122,7 +122,7 @@ class Constant(nn.Module):
         return torch.full((*inputs.shape[:-1], 1), self.value)
 
 
-def test_the_fit_is_near_one_for_the_true_q_and_zero_for_a_constant(driver, drives):
+def test_the_fit_is_one_for_the_truth_zero_for_constants(driver, drives):
     true = fit(TrueQ(), driver, drives, CART.horizon, RECIPE)
     assert 0.75 < true.explained_variance < 1  # the rest is what later actions will do by chance
     assert true.action_correlation > 0.5
@@ -144,12 +144,12 @@ def test_the_fit_of_a_reward_is_exact_where_nothing_follows(driver, drives):
     assert fit(reward, driver, episodes, CART.horizon, now).action_correlation < -0.2
 
 
-def test_where_everything_is_worth_the_same_there_is_nothing_to_explain(driver, drives):
+def test_equal_returns_leave_nothing_to_explain(driver, drives):
     same = fit(Constant(5.0), driver, replace(drives, reward=np.ones_like(drives.reward)), CART.horizon, RECIPE)
     assert (same.explained_variance, same.action_correlation) == (pytest.approx(0, abs=1e-9), 0)
 
 
-def test_the_steps_of_an_episode_that_ended_are_known_to_its_end(driver, drives):
+def test_returns_of_an_ended_episode_are_all_known(driver, drives):
     lengths = np.where(np.arange(100) < 50, 20, 7)
     found = fit(TrueQ(), driver, replace(drives, mask=np.arange(20)[:, None] < lengths), CART.horizon, RECIPE)
     assert found.steps == 50 * 10 + 50 * 7
@@ -179,7 +179,7 @@ def test_regression_finds_the_q_that_is_known(driver, drives, learned):
         assert values[0] > values[1]
 
 
-def test_the_gradient_of_a_learned_q_reaches_the_action_as_the_true_one_does(driver, learned):
+def test_a_learned_q_has_the_true_gradient_with_respect_to_actions(driver, learned):
     obs, action = torch.tensor([[1.0], [-1.0]]), torch.tensor([[0.5], [-0.5]], requires_grad=True)
     (found,) = torch.autograd.grad(learned[0].q(obs, action).sum(), action)
     (true,) = torch.autograd.grad(TrueQ()(driver.critic_input(obs, action)).sum(), action)

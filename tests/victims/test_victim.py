@@ -82,6 +82,7 @@ def test_a_gaussian_model_with_and_without_its_normaliser(algorithm, normalized)
     assert torch.allclose(victim.value(obs), model.policy.predict_values(seen).squeeze(-1), atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["TD3", "DDPG"])
 def test_a_td3_model_of_sbx(hopper, name):
     import sbx
@@ -134,6 +135,7 @@ def test_a_trained_ppo_of_stable_baselines3_with_its_normaliser():
     assert torch.allclose(victim.value(obs), values, rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_trained_td3_of_sbx_with_its_normaliser():
     import sbx
 
@@ -147,6 +149,7 @@ def test_a_trained_td3_of_sbx_with_its_normaliser():
     assert np.allclose(victim.value(obs), q.min(0), rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("activation", ["tanh", "relu"])
 def test_a_trained_ppo_of_sbx_with_its_normaliser(activation):
     import jax
@@ -208,7 +211,7 @@ VECTOR, PICTURE = gymnasium.spaces.Box(-1, 1, (3,)), gymnasium.spaces.Box(0, 255
     ],
     ids=["pictures", "pictures-td3", "dictionaries", "choices", "gsde"],
 )
-def test_what_a_victim_cannot_see_or_do_is_refused_by_name(make, message):
+def test_spaces_that_are_no_vectors_are_refused_by_name(make, message):
     with pytest.raises(ValueError, match=f"model: .*{message}"):
         Victim.from_sb3(make())
 
@@ -227,7 +230,7 @@ def test_networks_that_are_no_plain_mlp_are_refused(hopper):
             Victim.from_sb3(model)
 
 
-def test_a_forgotten_normaliser_is_missed():
+def test_a_forgotten_normaliser_is_refused():
     env = VecNormalize(DummyVecEnv([Wide]))
     model = PPO("MlpPolicy", env, policy_kwargs=dict(NET), n_steps=16, batch_size=16)
     with pytest.raises(ValueError, match="vecnormalize: this PPO saw normalised observations"):
@@ -276,7 +279,7 @@ def test_gradients_reach_the_observation():
             assert (gradient != 0).any(-1).all()
 
 
-def test_a_deterministic_action_keeps_the_bounds_and_a_gaussian_mean_is_clipped():
+def test_actions_keep_the_bounds():
     far = normal(100, 11) * 100
     victim = make_victim(gaussian=True)
     assert (victim.mean(far).abs() > 1).any() and (victim(far).abs() <= 1).all()
@@ -290,7 +293,7 @@ def test_config_and_state_make_the_same_victim():
         assert torch.equal(again(obs), victim(obs)) and torch.equal(again.value(obs), victim.value(obs))
 
 
-def test_without_a_critic_the_question_is_refused():
+def test_q_without_a_critic_is_refused():
     with pytest.raises(ValueError, match="no Q-function"):
         make_victim(gaussian=True).q(normal(2, 11), normal(2, 3))
 
@@ -300,7 +303,7 @@ def critic_of(victim: Victim, seed: int = 5) -> dict:
     return mlp([victim.obs_dim + victim.action_dim, 8, 1]).state_dict()
 
 
-def test_a_learned_critic_leaves_policy_and_value_as_they_were():
+def test_a_learned_critic_does_not_change_policy_and_value():
     victim, obs = make_victim(gaussian=True), normal(20, 11)
     before = {name: tensor.clone() for name, tensor in victim.state_dict().items()}
     with_critic = victim.with_critic([14, 8, 1], critic_of(victim))
@@ -328,7 +331,7 @@ def test_a_learned_critic_sees_normalised_observations_and_scaled_actions():
     assert torch.allclose(with_critic.q(obs, action), expected, atol=1e-6)
 
 
-def test_the_gradient_of_a_learned_critic_reaches_the_action_and_the_observation():
+def test_a_learned_critic_has_gradients_for_action_and_observation():
     victim = make_victim(gaussian=True)
     victim = victim.with_critic([14, 8, 1], critic_of(victim), activation="tanh")
     obs, action = normal(3, 11).requires_grad_(), normal(3, 3).requires_grad_()

@@ -23,6 +23,8 @@ from detden_lite.victims import checkpoints, training
 from detden_lite.victims.recipes import AdversaryRecipe, PPORecipe, TD3Recipe
 from detden_lite.victims.victim import Victim
 
+pytestmark = pytest.mark.slow  # each test trains
+
 RECIPES = dict(
     td3=TD3Recipe(steps=1_000, segment=200, net=16, batch=16, buffer=500, learning_starts=100),
     ppo=PPORecipe(steps=1_280, segment=256, net=16, envs=4, rollout=32, batch=32, epochs=2),
@@ -74,7 +76,7 @@ def test_every_segment_leaves_a_victim(uninterrupted, recipe):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
-def test_a_training_that_is_killed_and_resumed_is_one_that_never_stopped(tmp_path, uninterrupted, recipe):
+def test_a_killed_and_resumed_training_equals_an_uninterrupted_one(tmp_path, uninterrupted, recipe):
     code = TRAIN.format(recipe=recipe)
     process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stderr=subprocess.DEVNULL)
     while process.poll() is None and not (tmp_path / "checkpoint" / "segments.json").exists():
@@ -99,7 +101,7 @@ def test_a_checkpoint_remembers_the_returns_of_the_last_episodes(uninterrupted, 
     assert len(model.ep_info_buffer) > 5 and all(np.isfinite(episode["r"]) for episode in model.ep_info_buffer)
 
 
-def test_ppo_keeps_the_statistics_of_its_normaliser_from_segment_to_segment():
+def test_ppo_keeps_its_normalisers_statistics_over_segments():
     """They count every observation and become the victim's first layer; rewards have statistics of their own."""
     recipe = RECIPES["ppo"]
     model = recipe.start(WORLDS, 0)
@@ -114,7 +116,7 @@ def test_ppo_keeps_the_statistics_of_its_normaliser_from_segment_to_segment():
     assert np.allclose(victim.obs_mean, statistics.obs_rms.mean, atol=1e-6) and (victim.obs_std != 1).all()
 
 
-def test_td3_may_normalise_by_what_its_buffer_held_when_a_segment_began(tmp_path):
+def test_td3_normalises_by_its_buffer_as_a_segment_begins(tmp_path):
     """Nothing before the first; and a run that is resumed normalises as one that never stopped."""
     recipe = replace(RECIPES["td3"], envs=2, updates=10, normalize=True, learning_starts=200, buffer=2_000, steps=600)
     train_victim(HOPPER, recipe, 0, tmp_path / "whole")
@@ -142,7 +144,7 @@ def test_a_checkpoint_of_ppo_holds_its_normaliser(tmp_path):
     assert loaded.ret_rms.var > 0 and loaded.ret_rms.count > 256
 
 
-def test_the_learning_rate_of_ppo_falls_from_segment_to_segment_to_zero():
+def test_the_learning_rate_of_ppo_falls_with_every_segment():
     recipe = RECIPES["ppo"]
     model, rates = recipe.start(WORLDS, 0), []
     for done in (0, 0.4, 0.8):
@@ -244,7 +246,7 @@ def test_a_checkpoint_of_another_network_is_refused(begun, recipe):
         checkpoints.load(replace(recipe, net=8).start(WORLDS, 0), begun / "checkpoint")
 
 
-def test_a_finished_training_of_td3_can_be_prolonged_and_one_of_ppo_cannot(tmp_path, uninterrupted, recipe, algo):
+def test_a_finished_td3_can_be_prolonged_a_ppo_cannot(tmp_path, uninterrupted, recipe, algo):
     folder = shutil.copytree(uninterrupted, tmp_path / "copy")
     longer = replace(recipe, steps=recipe.steps + recipe.segment)
     if algo == "td3":

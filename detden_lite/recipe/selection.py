@@ -27,13 +27,9 @@ class Choice:
 
 
 def choose(
-    task: Task,
-    kind: type[Any],
-    folders: Iterable[Path],
-    measure: Callable[[Victim, str], float],
-    sign: int = 1,
+    task: Task, kind: type[Any], folders: Iterable[Path], measure: Callable[[Victim, str], float], sign: int = 1,
     n: int = 10,
-) -> Choice:
+) -> Choice:  # fmt: skip
     """The best snapshot of some trainings.
 
     Every snapshot plays screening episodes (the learning curves); the n best of these play selection episodes; the best
@@ -48,17 +44,22 @@ def choose(
         n: how many play the selection episodes.
 
     Raises:
-        ArtifactError: if a snapshot cannot be read, or its recipe is another.
+        ArtifactError: if there is no snapshot, one cannot be read or is of another recipe, or a recipe.json is damaged.
     """
     rows, curves = [], []
     for folder in folders:
-        recipe = json.loads((folder / "recipe.json").read_text())
+        try:
+            recipe = json.loads((folder / "recipe.json").read_text())
+        except (OSError, ValueError) as error:
+            raise ArtifactError(f"{folder / 'recipe.json'} is missing or damaged ({error}); train anew") from None
         config = kind(**{key: recipe[key] for key in recipe.keys() & kind.__dataclass_fields__}).config(task)
         own = []
         for path in tqdm(sorted((folder / "snapshots").glob("*.safetensors")), desc=folder.name, unit="snapshot"):
             own.append((measure(_load(path, config), "screening"), path, config, recipe))
         curves.append(dict(recipe=recipe, steps=[int(row[1].stem) for row in own], mean=[row[0] for row in own]))
         rows += own
+    if not rows:
+        raise ArtifactError(f"there is no snapshot to choose for {task.name}; train first")
     best = []
     for _, path, config, recipe in tqdm(
         sorted(rows, key=lambda row: -sign * row[0])[:n], desc="selection", unit="snapshot"
