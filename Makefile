@@ -1,4 +1,4 @@
-# Everything is made by `make`: .venv from environment.lock first, then what was asked for. `make help` lists it.
+# Everything is made by `make`: first .venv from environment.lock, then the target. `make help` lists it.
 
 PYTHON ?= python3
 SERVE ?= 1
@@ -47,7 +47,7 @@ test: _build/html.stamp ## Run the tests: the library, the notebooks, the built 
 test-fast: .venv/stamp ## Run the quick tests of the library: no book, no browser, no recipe
 	$(PY) -m pytest $(addprefix tests/,$(ROOMS)) -m "not slow"
 
-notebooks: .venv/stamp ## Write notebooks/ anew from book/chapters/
+notebooks: .venv/stamp ## Write notebooks/ from book/chapters/
 	$(PY) book/tools/student.py notebooks
 
 # It serves the whole repository: notebooks link to films and pages beside them. LAB takes more options of JupyterLab.
@@ -55,7 +55,7 @@ lab: .venv/stamp ## Open the notebooks in JupyterLab
 	$(PY) -m jupyter lab --ServerApp.root_dir=. --LabApp.default_url=/lab/tree/notebooks $(LAB)
 
 # GOALS takes whatever else Snakemake knows: -n, --unlock, publish.
-data: .venv/stamp ## Make everything in data/ anew, in runs/SCALE (SCALE=tiny, lite, paper; ROWS="hopper-td3 ant-ppo"; JOBS=2; FILMS=false)
+data: .venv/stamp ## Make everything in data/ again, in runs/SCALE (SCALE=tiny, lite, paper; ROWS="hopper-td3 ant-ppo"; JOBS=2; FILMS=false)
 	$(PY) -m snakemake $(GOALS) --snakefile data/Snakefile --configfile data/config/$(SCALE).yaml --directory runs/$(SCALE) --jobs $(JOBS) --config only="$(ROWS)" films=$(FILMS)
 
 durations: .venv/stamp ## Print how long each stage of make data SCALE=lite takes, and how fast victims train
@@ -70,7 +70,7 @@ lint: .venv/stamp ## Check the style, which room imports from which, and the typ
 	$(BIN)/lint-imports
 	$(PY) -m mypy
 
-lock: .venv/stamp ## Resolve environment.lock anew from pyproject.toml
+lock: .venv/stamp ## Resolve environment.lock again from pyproject.toml
 	$(BIN)/uv pip compile -q pyproject.toml --extra all --universal --python-version 3.11 --generate-hashes --no-emit-index-url --custom-compile-command "make lock" --upgrade -o environment.lock
 
 clean: ## Remove everything that was made, .venv included

@@ -1,4 +1,4 @@
-"""One call from a frozen policy to a defended one: the recipe's stages, for whoever brings a policy."""
+"""One call from a frozen policy to a defended one: the recipe's stages, for any policy."""
 
 from __future__ import annotations
 

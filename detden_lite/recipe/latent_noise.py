@@ -77,7 +77,7 @@ def moment(episodes: Episodes, defense: DetectAndDenoise, step: int) -> Moment:
 
     Args:
         episodes: that ``rollout`` played with this defence.
-        defense: is copied and shown the episodes anew, until it is as it was before that step.
+        defense: a copy of it sees the episodes again up to that step, so that its memory is as it was.
         step: from 0.
     """
     alive = episodes.select(np.flatnonzero(episodes.mask[step]))

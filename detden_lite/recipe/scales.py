@@ -1,4 +1,4 @@
-"""How large everything is: ``tiny`` for tests, ``lite`` for what is shipped, ``paper`` for the paper's own sizes."""
+"""The three scales: ``tiny`` for tests, ``lite`` for the shipped data, ``paper`` for the paper's sizes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
