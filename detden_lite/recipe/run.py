@@ -72,7 +72,7 @@ class Run(Generic[Sizes]):
         return self.ball or Budget(self.task.epsilon)
 
     def forget_others(self, victim: Victim) -> None:
-        """If the run's victim is, or was, another one: remove everything that was made of it, except victims' trainings."""
+        """If the run's victim is, or was, another one: remove everything made of it except the trainings."""
         known = manifest.promised(self.folder / "victim.safetensors", self.root)
         if known in (None, tensors.digest(victim.state_dict())):
             return
