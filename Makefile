@@ -41,8 +41,8 @@ ifneq ($(SERVE),0)
 endif
 
 test: _build/html.stamp ## Run the tests: the library, the notebooks, the built book in a browser
-	$(PY) book/tools/student.py --solved _build/solved
-	$(PY) -m pytest tests _build/solved --nbmake --nbmake-timeout=90
+	$(PY) book/tools/student.py --solved runs/solved
+	$(PY) -m pytest tests runs/solved --nbmake --nbmake-timeout=90 -n $(JOBS)
 
 test-fast: .venv/stamp ## Run the quick tests of the library: no book, no browser, no recipe
 	$(PY) -m pytest $(addprefix tests/,$(ROOMS)) -m "not slow"

@@ -58,7 +58,7 @@ _FACE = {
     "attacks.informed": "View view_defense",
     "attacks.search": "climb evolve",
     "recipe.linear_search": "LinearMaps elite_weights",
-    "attacks.adversary_world": "AdversaryEnv",
+    "training.adversary_world": "AdversaryEnv",
     "attacks.timing": "After Always Random Vulnerable",
     "attacks.threat": "Threat",
     "attacks.catalogue": "CATALOGUE",

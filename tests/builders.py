@@ -24,7 +24,7 @@ from detden_lite.defense.pipeline import DetectAndDenoise
 from detden_lite.results.records import Record
 from detden_lite.simulation.planner import CEMPlanner
 from detden_lite.store import models
-from detden_lite.victims.training import XLA_FLAGS
+from detden_lite.training.resumable import XLA_FLAGS
 from detden_lite.victims.victim import Victim
 
 # XLA reads this when it is first used, by whichever test: all are to compute as a training does.

@@ -17,9 +17,9 @@ from detden_lite.core import files
 from detden_lite.core.tasks import Task, get_task
 from detden_lite.recipe.scales import VICTIMS
 from detden_lite.recipe.stage_list import STAGES
-from detden_lite.simulation.training_worlds import train_victim
 from detden_lite.store import manifest
-from detden_lite.victims.recipes import PPORecipe, TD3Recipe
+from detden_lite.training.recipes import PPORecipe, TD3Recipe
+from detden_lite.training.worlds import train_victim
 
 RULES = tuple(rule for stage in STAGES.values() for rule in stage.rules)  # of data/Snakefile
 RECORD = "durations.json"  # in data/

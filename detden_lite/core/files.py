@@ -55,12 +55,13 @@ def replace_files(files: Mapping[Path, bytes]) -> None:
         ArtifactError: if one of them cannot be written.
     """
     with ExitStack() as stack:
-        for path, content in reversed(
-            list(files.items())
-        ):  # a stack unwinds backwards: the first takes its place first
-            new = Path(stack.enter_context(replacing(path, "")))
-            new.write_bytes(content)
-            _sync(new)
+        # A stack unwinds backwards: the first file takes its place first.
+        news = {path: Path(stack.enter_context(replacing(path, ""))) for path in reversed(list(files))}
+        for path, content in files.items():
+            try:
+                news[path].write_bytes(content)
+            except OSError as error:
+                raise unwritable(path, error) from None
 
 
 @contextmanager

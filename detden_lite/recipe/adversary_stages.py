@@ -19,8 +19,8 @@ from detden_lite.recipe.run import Run
 from detden_lite.recipe.scales import Scale
 from detden_lite.simulation.rollout import rollout
 from detden_lite.store import manifest, models, tensors
-from detden_lite.victims import training
-from detden_lite.victims.recipes import AdversaryRecipe
+from detden_lite.training import resumable
+from detden_lite.training.recipes import AdversaryRecipe
 from detden_lite.victims.victim import Victim
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def train_member(run: Run[Scale], member: int, defended: bool = False) -> None:
     """
     from stable_baselines3.common.vec_env import VecMonitor
 
-    from detden_lite.attacks.adversary_world import AdversaryEnv
+    from detden_lite.training.adversary_world import AdversaryEnv
 
     grid = run.scale.adversaries
     if not 0 <= member < len(grid):
@@ -60,7 +60,7 @@ def train_member(run: Run[Scale], member: int, defended: bool = False) -> None:
     about: dict[str, object] = dict(c_vul=threat.c_vul) if grid[member].timing == "vulnerable" else {}
     if defended:
         about |= dict(defense=MAIN, denoiser=manifest.promised(run.folder / f"denoiser-{MAIN}.safetensors", run.root))
-    training.train(run.task, grid[member], member, folder, worlds, _about(run) | about)
+    resumable.train(run.task, grid[member], member, folder, worlds, _about(run) | about)
 
 
 def choose(run: Run[Scale], defended: bool = False) -> None:

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from detden_lite.core.arguments import check_between, check_positive, check_whole
 from detden_lite.core.files import replace_file
 from detden_lite.core.tasks import Task
-from detden_lite.victims.training import claim
+from detden_lite.training.resumable import claim
 from detden_lite.victims.victim import Victim
 
 

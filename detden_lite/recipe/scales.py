@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from detden_lite.core.tasks import ALGORITHMS, SCALES, Task
 from detden_lite.defense.training import VAERecipe
 from detden_lite.recipe.linear_search import LinearRecipe
+from detden_lite.training.recipes import AdversaryRecipe, PPORecipe, TD3Recipe
 from detden_lite.victims.critic import QRecipe
-from detden_lite.victims.recipes import AdversaryRecipe, PPORecipe, TD3Recipe
 
 _PPO = PPORecipe(envs=32, rollout=64, batch=128)
 

@@ -11,16 +11,16 @@ from detden_lite.core import estimates
 from detden_lite.recipe import episode_seeds, selection
 from detden_lite.recipe.run import Run
 from detden_lite.recipe.scales import Scale
-from detden_lite.simulation import training_worlds
 from detden_lite.simulation.rollout import rollout
 from detden_lite.store import manifest, models, tensors
+from detden_lite.training import worlds
 from detden_lite.victims import critic
 from detden_lite.victims.victim import Victim
 
 
 def train_victim(run: Run[Scale], seed: int) -> None:
     """The stage: train one seed; its snapshots are stored in the run's checkpoints."""
-    training_worlds.train_victim(run.task, run.scale.victim, seed, run.folder / "checkpoints" / f"victim-{seed}")
+    worlds.train_victim(run.task, run.scale.victim, seed, run.folder / "checkpoints" / f"victim-{seed}")
 
 
 def select_victim(run: Run[Scale]) -> None:

@@ -10,7 +10,6 @@ from builders import BUDGET, HOPPER, make_defense, make_victim, normal
 from gymnasium.error import ResetNeeded
 
 from detden_lite.attacks.adaptive import AdaptiveAttack, CoupledAttack, GradientFreeAttack, StealthyAttack
-from detden_lite.attacks.adversary_world import AdversaryEnv
 from detden_lite.attacks.attacked_observations import AttackedObservations
 from detden_lite.attacks.enchanting import EnchantingAttack
 from detden_lite.attacks.noise import GaussianNoise, UniformNoise
@@ -24,6 +23,7 @@ from detden_lite.core.budget import Budget
 from detden_lite.core.tasks import get_task
 from detden_lite.core.types import World
 from detden_lite.recipe.linear_search import LinearMaps
+from detden_lite.training.adversary_world import AdversaryEnv
 from detden_lite.victims.victim import Victim
 
 VICTIM, WALKER = make_victim(), make_victim(get_task("walker2d"))

@@ -10,7 +10,6 @@ from safetensors.torch import load_file, save_file
 from stable_baselines3.common.vec_env import VecMonitor
 
 from detden_lite.attacks import catalogue
-from detden_lite.attacks.adversary_world import AdversaryEnv
 from detden_lite.attacks.optimal import OptimalAttack
 from detden_lite.attacks.timing import Vulnerable
 from detden_lite.core import files
@@ -19,9 +18,10 @@ from detden_lite.recipe import adversary_stages, episode_seeds, evaluation
 from detden_lite.recipe.run import Run
 from detden_lite.simulation.rollout import rollout
 from detden_lite.store import manifest, models, tensors
-from detden_lite.victims import checkpoints, training
-from detden_lite.victims.recipes import AdversaryRecipe
-from detden_lite.victims.training import train
+from detden_lite.training import checkpoints, resumable
+from detden_lite.training.adversary_world import AdversaryEnv
+from detden_lite.training.recipes import AdversaryRecipe
+from detden_lite.training.resumable import train
 from detden_lite.victims.victim import Victim
 
 C_VUL = -0.5  # the untrained victim's V lies on both sides of it
@@ -52,12 +52,12 @@ def test_a_snapshot_is_a_policy_whose_actions_are_perturbations(trained):
 
 
 def test_a_resumed_training_equals_an_uninterrupted_one(trained, tmp_path, monkeypatch):
-    class Interrupting(training.tqdm):
+    class Interrupting(resumable.tqdm):
         def update(self, n=1):
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(training, "tqdm", Interrupting)
+        patch.setattr(resumable, "tqdm", Interrupting)
         train(HOPPER, RECIPE, 0, tmp_path, worlds, dict(victim="a"), checkpoint_seconds=0)
     assert len(contents(tmp_path)) == 1 and checkpoints.load(RECIPE.start(worlds, 0), tmp_path / "checkpoint") == 1
     train(HOPPER, RECIPE, 0, tmp_path, worlds, dict(victim="a"))

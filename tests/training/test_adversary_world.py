@@ -3,10 +3,10 @@ import pytest
 import torch
 from builders import BUDGET, HOPPER, make_defense, make_victim
 
-from detden_lite.attacks.adversary_world import AdversaryEnv
 from detden_lite.attacks.timing import Random, Vulnerable
 from detden_lite.recipe.episode_seeds import SEEDS
 from detden_lite.simulation.rollout import rollout
+from detden_lite.training.adversary_world import AdversaryEnv
 
 N, STEPS = 3, 40
 

@@ -18,9 +18,9 @@ from safetensors.torch import load_file
 
 from detden_lite.core.files import ArtifactError
 from detden_lite.core.tasks import get_task
-from detden_lite.simulation.training_worlds import task_worlds, train_victim
-from detden_lite.victims import checkpoints, training
-from detden_lite.victims.recipes import AdversaryRecipe, PPORecipe, TD3Recipe
+from detden_lite.training import checkpoints, resumable
+from detden_lite.training.recipes import AdversaryRecipe, PPORecipe, TD3Recipe
+from detden_lite.training.worlds import task_worlds, train_victim
 from detden_lite.victims.victim import Victim
 
 pytestmark = pytest.mark.slow  # each test trains
@@ -32,10 +32,10 @@ RECIPES = dict(
 WORLDS = partial(task_worlds, HOPPER)
 TRAIN = """
 from pathlib import Path
-from detden_lite.simulation import training_worlds
+from detden_lite.training import worlds
 from detden_lite.core.tasks import get_task
-from detden_lite.victims.recipes import AdversaryRecipe, PPORecipe, TD3Recipe
-from detden_lite.simulation.training_worlds import train_victim
+from detden_lite.training.recipes import AdversaryRecipe, PPORecipe, TD3Recipe
+from detden_lite.training.worlds import train_victim
 import sys
 train_victim(get_task("hopper"), {recipe}, 0, Path(sys.argv[1]), checkpoint_seconds=0)
 """
@@ -292,13 +292,13 @@ def test_segments_that_do_not_add_up_are_refused(algo, change):
 def begun(tmp_path_factory, recipe) -> Path:
     """A run that was interrupted after its first checkpoint."""
 
-    class Interrupting(training.tqdm):
+    class Interrupting(resumable.tqdm):
         def update(self, n=1):
             raise KeyboardInterrupt
 
     folder = tmp_path_factory.mktemp("begun")
     with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(training, "tqdm", Interrupting)
+        patch.setattr(resumable, "tqdm", Interrupting)
         train_victim(HOPPER, recipe, 0, folder, checkpoint_seconds=0)
     assert len(contents(folder)) == 1
     return folder
@@ -309,10 +309,10 @@ FULL_DISK = """
 import resource, signal, sys
 from pathlib import Path
 from detden_lite.core.files import ArtifactError
-from detden_lite.simulation import training_worlds
+from detden_lite.training import worlds
 from detden_lite.core.tasks import get_task
-from detden_lite.victims.recipes import AdversaryRecipe, PPORecipe, TD3Recipe
-from detden_lite.simulation.training_worlds import train_victim
+from detden_lite.training.recipes import AdversaryRecipe, PPORecipe, TD3Recipe
+from detden_lite.training.worlds import train_victim
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 for quota in sys.argv[2:]:

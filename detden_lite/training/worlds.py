@@ -9,8 +9,8 @@ import numpy as np
 
 from detden_lite.core.tasks import Task
 from detden_lite.simulation.simulator import make
-from detden_lite.victims.recipes import PPORecipe, TD3Recipe
-from detden_lite.victims.training import train
+from detden_lite.training.recipes import PPORecipe, TD3Recipe
+from detden_lite.training.resumable import train
 
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecEnv

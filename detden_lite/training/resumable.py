@@ -17,8 +17,8 @@ from tqdm import tqdm
 from detden_lite.core.files import ArtifactError, replace_file
 from detden_lite.core.random_streams import derived_seed
 from detden_lite.core.tasks import Task
-from detden_lite.victims import checkpoints
-from detden_lite.victims.recipes import PPORecipe, TD3Recipe, Worlds
+from detden_lite.training import checkpoints
+from detden_lite.training.recipes import PPORecipe, TD3Recipe, Worlds
 from detden_lite.victims.victim import Victim
 
 # One thread: more threads of XLA would compete with the other runs on the machine without benefit.
@@ -46,7 +46,7 @@ def train(
     Raises:
         ValueError: if ``folder`` holds a run of another recipe.
         ArtifactError: if a snapshot or a checkpoint cannot be written (the last checkpoint is then as it was), or the
-            checkpoint is damaged; see ``detden_lite.victims.checkpoints``.
+            checkpoint is damaged; see ``detden_lite.training.checkpoints``.
     """
     os.environ.setdefault("XLA_FLAGS", XLA_FLAGS)
     folder = Path(folder)
