@@ -28,6 +28,10 @@ def test_the_layers_name_every_room_once():
     assert sorted(named) == sorted(path.parent.name for path in architecture.LIBRARY.glob("*/__init__.py"))
 
 
+def test_the_part_to_read_in_an_afternoon_is_small():
+    assert architecture.code_lines(*(p for room in architecture.AFTERNOON for p in architecture.modules(room))) < 3_000
+
+
 def test_no_room_imports_from_its_own_layer_or_above():
     order = {room: i for i, layer in enumerate(architecture.layers()) for room in layer}
     for room, place in order.items():
