@@ -26,6 +26,7 @@ class GradientAttack(BallAttack, ABC):
         restarts: random starts; the best is taken.
         seed: of the random starts.
         dtype: in which the networks are computed. bfloat16 is for large sets offline, on a processor that has it.
+        by_hand: whether gradients are computed by hand, or by autograd, which is slower: see ``Policy``.
 
     Raises:
         ValueError: if an argument is of another kind or not in its range; and at the first call, if the observations
@@ -48,13 +49,13 @@ class GradientAttack(BallAttack, ABC):
 
     def __init__(
         self, victim: Victim, budget: Budget, steps: int = 20, restarts: int = 1, seed: int = 0,
-        dtype: torch.dtype = torch.float32,
+        dtype: torch.dtype = torch.float32, by_hand: bool = True,
     ) -> None:  # fmt: skip
         check_kind(Victim, victim=victim)
         check_whole(1, steps=steps, restarts=restarts)
         super().__init__(budget, victim.obs_dim)
         self.victim, self.steps, self.restarts, self.seed = victim, steps, restarts, seed
-        self.policy = Policy(victim, self.clips, dtype)
+        self.policy = Policy(victim, self.clips, dtype, by_hand)
 
     @abstractmethod
     def objective(self, obs: Tensor, world: World | None = None) -> ActionObjective:

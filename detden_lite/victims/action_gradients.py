@@ -1,7 +1,7 @@
 """The policy with its input gradient, and attack objectives that see an observation through its action alone.
 
-The gradients are computed by hand. The version to read is autograd's, ``value_and_gradient``, through
-``victim.mean`` or ``victim(obs)``: a test asserts that both are equal.
+The version to read is autograd's: ``value_and_gradient`` of the objective through ``Policy.readable``. By default the
+same gradient is computed by hand, which is faster. ``by_hand`` switches, and a test asserts that both are equal.
 """
 
 from collections.abc import Callable
@@ -21,6 +21,7 @@ class Policy:
         victim: the policy.
         clip: whether to clip a Gaussian policy's mean to the action bounds, as the world does.
         dtype: see ``Backprop``.
+        by_hand: whether objectives take their gradients from ``backward``, or from autograd through ``readable``.
 
     Example:
         >>> victim, obs = Victim([11, 64, 3]), torch.ones(2, 11)
@@ -31,11 +32,15 @@ class Policy:
         torch.Size([2, 11])
     """
 
-    def __init__(self, victim: Victim, clip: bool, dtype: torch.dtype = torch.float32) -> None:
-        self.victim, self.clip, self.actor = victim, clip, Backprop(victim.actor, dtype)
+    def __init__(self, victim: Victim, clip: bool, dtype: torch.dtype = torch.float32, by_hand: bool = True) -> None:
+        self.victim, self.clip, self.by_hand, self.actor = victim, clip, by_hand, Backprop(victim.actor, dtype)
         self.normalizes = bool((victim.obs_std != 1).any() or (victim.obs_mean != 0).any())
         self.normalizes |= bool(victim.obs_clip.isfinite())
         self.half_range = None if victim.action_std is not None else (victim.action_high - victim.action_low) / 2
+
+    def readable(self, obs: Tensor) -> Tensor:
+        """What ``forward`` computes, for autograd, ``[N, action_dim]``."""
+        return self.victim.straight_through(obs) if self.clip else self.victim.mean(obs)
 
     def forward(self, obs: Tensor) -> Tensor:
         """``victim.mean(obs)``, or ``victim(obs)`` if it clips, ``[N, action_dim]``."""
@@ -80,6 +85,8 @@ class ActionObjective:
         return self.of_action(self.policy.forward(perturbed))
 
     def value_and_gradient(self, perturbed: Tensor) -> tuple[Tensor, Tensor]:
-        """Values ``[N]`` and their gradients ``[N, obs_dim]``: by autograd to the action, and by hand from there."""
+        """Values ``[N]`` and their gradients ``[N, obs_dim]``: by autograd to the action, and from there by hand."""
+        if not self.policy.by_hand:
+            return value_and_gradient(lambda obs: self.of_action(self.policy.readable(obs)), perturbed)
         value, gradient = value_and_gradient(self.of_action, self.policy.forward(perturbed))
         return value, self.policy.backward(gradient)

@@ -231,6 +231,14 @@ def test_gradients_by_hand_are_those_of_autograd(dim, gaussian, activation, plai
 
 
 @pytest.mark.parametrize("kind", [OppositeAttack, QFunctionAttack])
+def test_the_switch_to_autograd_finds_an_equal_maximum(kind):
+    victim, obs = unlike(11, gaussian=False, activation="tanh", seed=3), normal(50, 11)
+    objective = kind(victim, BUDGET).objective(obs)
+    hand, auto = (objective(attack_once(kind(victim, BUDGET, by_hand=on), obs, [0])) for on in (True, False))
+    assert torch.allclose(hand, auto, rtol=0.02, atol=1e-3)
+
+
+@pytest.mark.parametrize("kind", [OppositeAttack, QFunctionAttack])
 def test_bfloat16_finds_nearly_the_same_maximum(kind):
     victim, obs = make_victim(hidden=64), normal(500, 11)
     objective = dict(zip((OppositeAttack, QFunctionAttack), (opposite_objective, q_objective), strict=True))[kind]
