@@ -19,10 +19,18 @@ class _Handler(SimpleHTTPRequestHandler):
 
     def send_head(self) -> BytesIO | BinaryIO | None:
         """Answer as the base class does, unless a link leads out of the folder."""
-        if Path(self.translate_path(self.path)).resolve().is_relative_to(Path(self.directory).resolve()):
+        if self._is_inside():
             return super().send_head()
         self.send_error(HTTPStatus.NOT_FOUND, "File not found")
         return None
+
+    def _is_inside(self) -> bool:
+        """Whether the path, and the page that stands for it if it is a folder, lead to places inside the folder."""
+        path, root = Path(self.translate_path(self.path)), Path(self.directory).resolve()
+        try:
+            return all((path / name).resolve().is_relative_to(root) for name in ("", "index.html", "index.htm"))
+        except (OSError, RuntimeError, ValueError):  # a loop of links, or no path at all, such as one with a null byte
+            return False
 
 
 class _Server(ThreadingHTTPServer):
@@ -42,7 +50,7 @@ def make_server(folder: str | Path, port: int = 0) -> ThreadingHTTPServer:
     if not Path(folder).is_dir():
         raise ValueError(f"there is no folder {folder}")
     if not 0 <= port <= 65535:
-        raise ValueError(f"port {port} is none; give a number between 0 and 65535")
+        raise ValueError(f"port {port} is not a port number; give a number between 0 and 65535")
     try:
         return _Server(("127.0.0.1", port), partial(_Handler, directory=str(folder)))
     except OSError as error:
@@ -57,7 +65,7 @@ def main(argv: list[str] | None = None) -> None:
     arguments = parser.parse_args(argv)
     try:
         if not arguments.port.isdecimal():
-            raise ValueError(f"port {arguments.port} is none; give a number between 0 and 65535")
+            raise ValueError(f"port {arguments.port} is not a port number; give a number between 0 and 65535")
         server = make_server(arguments.folder, int(arguments.port))
     except ValueError as error:
         sys.exit(f"error: {error}")

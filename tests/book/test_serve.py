@@ -22,6 +22,10 @@ def folder(tmp_path):
     (book / "inside").symlink_to(book / "index.html")
     (book / "outside").symlink_to(tmp_path / "secret" / "key")
     (book / "folder").symlink_to(tmp_path / "secret")
+    (book / "loop").symlink_to(book / "loop")
+    for name in ("index.html", "index.htm"):
+        (book / name.partition(".")[2]).mkdir()
+        (book / name.partition(".")[2] / name).symlink_to(tmp_path / "secret" / "key")
     return book
 
 
@@ -47,9 +51,12 @@ def test_files_and_links_inside_the_folder_are_served(ask):
     assert ask("/chapters/script.js") == (200, "1")
 
 
-@pytest.mark.parametrize(
-    "path", ["/outside", "/folder/key", "/folder/", "/../secret/key", "/%2e%2e/secret/key", "/none"]
-)
+OUTSIDE = ["/outside", "/folder/key", "/folder/", "/../secret/key", "/%2e%2e/secret/key"]
+INDEXES = ["/html/", "/html/index.html", "/html", "/htm/", "/htm/index.htm"]  # links to a file outside
+NO_PATHS = ["/none", "/loop", "/%00", "/html/%00", "/%ed%a0%80", "/" + 300 * "a"]
+
+
+@pytest.mark.parametrize("path", OUTSIDE + INDEXES + NO_PATHS)
 @pytest.mark.parametrize("method", ["GET", "HEAD"])
 def test_nothing_outside_the_folder_is_served(ask, path, method):
     status, content = ask(path, method)
@@ -60,7 +67,7 @@ def test_nothing_outside_the_folder_is_served(ask, path, method):
 def test_an_impossible_port_is_refused_in_one_line(folder, port, capsys):
     with pytest.raises(SystemExit) as stop:
         serve.main([str(folder), "--", port])
-    assert stop.value.code == f"error: port {port} is none; give a number between 0 and 65535"
+    assert stop.value.code == f"error: port {port} is not a port number; give a number between 0 and 65535"
 
 
 def test_a_port_in_use_and_a_missing_folder_are_refused(folder, tmp_path):
