@@ -34,6 +34,14 @@ class Task:
     horizon: int = 1_000
     learning_rate: float = 1e-3  # table 5
 
+    def check_fits(self, obs_dim: int, action_dim: int) -> None:
+        """Check that a victim with so many observations and actions can act in this task; a ValueError if not."""
+        if (obs_dim, action_dim) != (self.obs_dim, self.action_dim):
+            raise ValueError(
+                f"victim: it maps {obs_dim} observations to {action_dim} actions, "
+                f"but {self.env_id} has {self.obs_dim} and {self.action_dim}; give the victim of this task"
+            )
+
 
 TASKS = {
     task.name: task
