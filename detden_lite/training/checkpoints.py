@@ -34,7 +34,7 @@ def save(model: "TD3 | PPO", checkpoint: Path, segments: int) -> None:
     checkpoint.mkdir(exist_ok=True)
     record, path = checkpoint / "segments.json", checkpoint / f"model-{segments}.npz"
     if not record.exists():  # from here on a model without a record is damage, and no first checkpoint under way
-        replace_file(record, b'{"segments": 0, "sha256": {}}')
+        replace_file(record, json.dumps(dict(segments=0, first=path.name)).encode())
     with replacing(path) as new:
         np.savez(new, segments=np.array(segments), **_arrays(model))  # type: ignore[arg-type] # none is "allow_pickle"
         digest = _sha256(Path(new))
@@ -46,6 +46,8 @@ def save(model: "TD3 | PPO", checkpoint: Path, segments: int) -> None:
 def load(model: "TD3 | PPO", checkpoint: Path) -> int:
     """Put a checkpoint's state into a new model of the same recipe; the number of segments that it was trained for.
 
+    A first checkpoint that was never finished is removed, and the number is 0.
+
     Raises:
         ArtifactError: if the checkpoint is damaged, of an earlier version, or of another model; nothing in it is run.
     """
@@ -55,16 +57,22 @@ def load(model: "TD3 | PPO", checkpoint: Path) -> int:
         return 0
     try:
         said = json.loads(record.read_text())
-        segments, sums = said["segments"], said["sha256"]
-        if segments == 0 and not sums:
-            return 0
+        segments = said["segments"]
+        models = [*checkpoint.glob("model-*.npz")]  # whole, or a temporary file of one that was being written
+        unfinished = segments == 0 and all(path.name.startswith(said["first"]) for path in models)
         path = checkpoint / f"model-{segments}.npz"
-        expected = sums[path.name]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        expected = None if unfinished else said["sha256"][path.name]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise ArtifactError(f"{record} is missing, damaged, or of an earlier version; {remedy}") from None
-    if not path.exists():
-        raise ArtifactError(f"{path} is missing; {remedy}")
-    if _sha256(path) != expected:
+    if unfinished:
+        for path in (*models, record):  # the record last: a kill between them leaves one that says so again
+            path.unlink()
+        return 0
+    try:
+        found = _sha256(path)
+    except OSError as error:
+        raise ArtifactError(f"{path} cannot be read ({error.strerror}); {remedy}") from None
+    if found != expected:
         raise ArtifactError(f"{path} is truncated or altered (its SHA-256 is not that of {record.name}); {remedy}")
     try:
         with np.load(path, allow_pickle=False) as arrays:

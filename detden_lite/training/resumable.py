@@ -87,6 +87,6 @@ def claim(folder: Path, description: Mapping[str, object]) -> None:
     try:
         if recipe_file.exists() and json.loads(recipe_file.read_text()) != description:
             raise ValueError(f"{recipe_file} describes another run; choose another folder, or remove {folder}")
-    except (json.JSONDecodeError, UnicodeDecodeError):
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError):
         raise ArtifactError(f"{recipe_file} is damaged; restore it, or remove {folder} to train anew") from None
     replace_file(recipe_file, json.dumps(description, indent=1).encode())

@@ -16,7 +16,7 @@ import torch
 from builders import HOPPER, normal
 from safetensors.torch import load_file
 
-from detden_lite.core.files import ArtifactError
+from detden_lite.core.files import ArtifactError, replace_file
 from detden_lite.core.tasks import get_task
 from detden_lite.training import checkpoints, resumable
 from detden_lite.training.recipes import AdversaryRecipe, PPORecipe, TD3Recipe
@@ -31,12 +31,11 @@ RECIPES = dict(
 )
 WORLDS = partial(task_worlds, HOPPER)
 TRAIN = """
-from pathlib import Path
-from detden_lite.training import worlds
-from detden_lite.core.tasks import get_task
-from detden_lite.training.recipes import AdversaryRecipe, PPORecipe, TD3Recipe
-from detden_lite.training.worlds import train_victim
 import sys
+from pathlib import Path
+from detden_lite.core.tasks import get_task
+from detden_lite.training.recipes import PPORecipe, TD3Recipe
+from detden_lite.training.worlds import train_victim
 train_victim(get_task("hopper"), {recipe}, 0, Path(sys.argv[1]), checkpoint_seconds=0)
 """
 
@@ -79,13 +78,25 @@ def test_every_segment_leaves_a_victim(uninterrupted, recipe):
 def test_a_killed_and_resumed_training_equals_an_uninterrupted_one(tmp_path, uninterrupted, recipe):
     code = TRAIN.format(recipe=recipe)
     process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stderr=subprocess.DEVNULL)
-    while process.poll() is None and not (tmp_path / "checkpoint" / "segments.json").exists():
+    while process.poll() is None and not recorded_segments(tmp_path):
         time.sleep(0.005)
     process.send_signal(signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
-    assert 1 <= len(contents(tmp_path)) < 5
+    done = recorded_segments(tmp_path)
+    assert 1 <= done <= len(contents(tmp_path)) < 5
+    before = times(tmp_path / "snapshots")[:done]
     train_victim(HOPPER, recipe, 0, tmp_path)
     assert contents(tmp_path) == contents(uninterrupted)
+    assert times(tmp_path / "snapshots")[:done] == before  # they were not made again
+
+
+def recorded_segments(folder: Path) -> int:
+    record = folder / "checkpoint" / "segments.json"
+    return json.loads(record.read_text())["segments"] if record.exists() else 0
+
+
+def times(folder: Path) -> list[int]:
+    return [path.stat().st_mtime_ns for path in sorted(folder.iterdir())]
 
 
 def saved_model(folder: Path, recipe):
@@ -165,21 +176,29 @@ def test_a_kill_between_model_and_record_keeps_the_last_checkpoint(tmp_path, beg
     assert sorted(path.name for path in (folder / "checkpoint").iterdir()) == ["model-5.npz", "segments.json"]
 
 
-def test_a_kill_during_the_first_checkpoint_starts_anew(tmp_path, begun, uninterrupted, recipe):
-    folder = shutil.copytree(begun, tmp_path / "copy")
-    (folder / "checkpoint" / "segments.json").write_text('{"segments": 0, "sha256": {}}')
-    train_victim(HOPPER, recipe, 0, folder)
-    assert contents(folder) == contents(uninterrupted)
+def test_a_kill_during_the_first_checkpoint_starts_anew(tmp_path, uninterrupted, recipe):
+    """The model is written whole, and the record does not name it yet; again with another model as the first one."""
+    for first, segments in (("model-5.npz", 5), ("model-1.npz", 1)):
+        with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):
+            patch.setattr(checkpoints, "replace_file", interrupted_at_a_finished_model)
+            train_victim(HOPPER, recipe, 0, tmp_path, checkpoint_seconds=600 if segments == 5 else 0)
+        assert sorted(path.name for path in (tmp_path / "checkpoint").iterdir()) == [first, "segments.json"]
+    (tmp_path / "checkpoint" / "model-1.npz.0.new.npz").write_bytes(b"ha")
+    train_victim(HOPPER, recipe, 0, tmp_path)
+    assert contents(tmp_path) == contents(uninterrupted)
+    assert recorded_segments(tmp_path) == 5
+
+
+def interrupted_at_a_finished_model(path: Path, content: bytes) -> None:
+    if json.loads(content)["segments"]:
+        raise KeyboardInterrupt
+    replace_file(path, content)
 
 
 def test_a_finished_training_is_not_repeated(uninterrupted, recipe):
-    before = contents(uninterrupted), times(uninterrupted)
+    before = contents(uninterrupted), times(uninterrupted / "checkpoint")
     train_victim(HOPPER, recipe, 0, uninterrupted)
-    assert (contents(uninterrupted), times(uninterrupted)) == before
-
-
-def times(folder: Path) -> list[int]:
-    return [path.stat().st_mtime_ns for path in (folder / "checkpoint").iterdir()]
+    assert (contents(uninterrupted), times(uninterrupted / "checkpoint")) == before
 
 
 class Trap:
@@ -214,6 +233,11 @@ def altered(path: Path) -> None:
     path.write_bytes(content)
 
 
+def replaced_by_a_folder(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
 DAMAGES = dict(
     record_is_a_number=(lambda f: (f / "checkpoint" / "segments.json").write_text("99"), "segments.json"),
     record_cut=(lambda f: cut(f / "checkpoint" / "segments.json"), "segments.json"),
@@ -221,13 +245,18 @@ DAMAGES = dict(
     record_is_a_list=(lambda f: (f / "checkpoint" / "segments.json").write_text("[1]"), "segments.json"),
     record_without_sums=(lambda f: (f / "checkpoint" / "segments.json").write_text('{"segments": 1}'), "segments.json"),
     record_of_more_segments=(lambda f: rewritten(f, segments=5), "segments.json"),
+    record_of_no_segments=(lambda f: rewritten(f, segments=0), "segments.json"),
+    record_of_another_first_model=(lambda f: rewritten(f, segments=0, first="model-5.npz"), "segments.json"),
+    record_deeply_nested=(lambda f: (f / "checkpoint" / "segments.json").write_text("[" * 99_999), "segments.json"),
     record_missing=(lambda f: (f / "checkpoint" / "segments.json").unlink(), "segments.json"),
     sum_of_another_file=(lambda f: rewritten(f, sha256={"../model-1.npz": "0"}), "segments.json"),
     model_missing=(lambda f: (f / "checkpoint" / "model-1.npz").unlink(), "model-1.npz"),
+    model_is_a_folder=(lambda f: replaced_by_a_folder(f / "checkpoint" / "model-1.npz"), "model-1.npz"),
     model_cut=(lambda f: cut(f / "checkpoint" / "model-1.npz"), "model-1.npz"),
     model_altered=(lambda f: altered(f / "checkpoint" / "model-1.npz"), "model-1.npz"),
     model_pickled=(trapped, "model-1.npz"),
     recipe_cut=(lambda f: cut(f / "recipe.json"), "recipe.json"),
+    recipe_deeply_nested=(lambda f: (f / "recipe.json").write_text("[" * 99_999), "recipe.json"),
 )
 
 
@@ -309,9 +338,8 @@ FULL_DISK = """
 import resource, signal, sys
 from pathlib import Path
 from detden_lite.core.files import ArtifactError
-from detden_lite.training import worlds
 from detden_lite.core.tasks import get_task
-from detden_lite.training.recipes import AdversaryRecipe, PPORecipe, TD3Recipe
+from detden_lite.training.recipes import PPORecipe, TD3Recipe
 from detden_lite.training.worlds import train_victim
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
