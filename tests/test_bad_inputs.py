@@ -1,7 +1,7 @@
 """Bad input over the public face and the command line: every one is refused, by an error that names what is wrong."""
 
 import json
-import threading
+import re
 from dataclasses import replace
 from math import inf, nan
 from pathlib import Path
@@ -73,12 +73,11 @@ def roll(*args, **kwargs):
     return lambda: dd.rollout(*(args or (VICTIM, HOPPER, range(2))), **dict(steps=2) | kwargs)
 
 
-def struck(attack, obs=OBS):
+def struck(make, obs=OBS):
     def strike():
-        attack().reset([0, 1])
-        made = attack()
-        made.reset([0, 1])
-        return made(obs, None)
+        attack = make()
+        attack.reset([0, 1])
+        return attack(obs, None)
 
     return strike
 
@@ -110,8 +109,11 @@ CASES = [
         for s in (0.0, -1.0, nan, inf, [1.0, 0.0], [1.0, nan], torch.tensor([-1.0]), "wide", [])
     ),
     *(
-        (f"scale of {n} numbers, {m}", lambda n=n, m=m, x=x: getattr(dd.Budget(0.1, scale=[1.0] * n), m)(OBS, x),
-            "scale")
+        (
+            f"scale of {n} numbers, {m}",
+            lambda n=n, m=m, x=x: getattr(dd.Budget(0.1, scale=[1.0] * n), m)(OBS, x),
+            "scale",
+        )
         for n in (2, 10, 12)
         for m, x in (("project", OBS), ("contains", OBS), ("sample", dd.RandomStreams(0)))
     ),
@@ -127,9 +129,12 @@ CASES = [
     ("streams rows", lambda: dd.RandomStreams(0, [1, 2]).normal(3, 1), "rows"),
     # Rollout
     *((f"rollout steps {s!r}", roll(steps=s), "steps") for s in (0, -1, 1.5, "all")),
-    *((f"rollout seeds {s!r}", roll(VICTIM, HOPPER, s), "seed") for s in ([], [1.5], [-1], ["a"], [None], [nan])),
+    *((f"rollout seeds {s!r}", roll(VICTIM, HOPPER, s), "seeds") for s in ([], [1.5], [-1], ["a"], [None], [nan])),
     *((f"rollout noise {s!r}", roll(action_noise=s), "action_noise") for s in (-0.1, nan, inf, [0.1, -0.1])),
-    *((f"rollout attack {a!r}", roll(attack=a), "attack") for a in ("opposite", 1, dd.UniformNoise, object())),
+    *(
+        (f"rollout attack of type {type(a).__name__}", roll(attack=a), "attack")
+        for a in ("opposite", 1, dd.UniformNoise, object())
+    ),
     *((f"rollout timing {a!r}", roll(attack=dd.UniformNoise(BUDGET), timing=a), "timing") for a in ("always", 1)),
     *((f"rollout defense {a!r}", roll(defense=a), "defense") for a in ("mixed", 1, make_gruvae())),
     ("rollout of another task", roll(WALKER, HOPPER, range(2)), "victim"),
@@ -193,21 +198,44 @@ CASES = [
     ),
     *(
         (f"planner {n} {v!r}", lambda n=n, v=v: dd.CEMPlanner("Hopper-v5", **{n: v}), n)
-        for n, v in (("horizon", 0), ("population", 0), ("iterations", 0), ("elites", 0), ("elites", 1_000),
-            ("floor", -1.0))
+        for n, v in (
+            ("horizon", 0),
+            ("population", 0),
+            ("iterations", 0),
+            ("elites", 0),
+            ("elites", 1_000),
+            ("floor", -1.0),
+        )
     ),
     ("planner of an unknown task", lambda: dd.CEMPlanner("Swimmer-v5"), "env_id"),
-    ("attacked env with a planner", lambda: dd.AttackedObservations(None, dd.EnchantingAttack(VICTIM, BUDGET, None)),
-        "attack"),
+    (
+        "attacked env with a planner",
+        lambda: dd.AttackedObservations(None, dd.EnchantingAttack(VICTIM, BUDGET, None)),
+        "attack",
+    ),
     ("attacked env by name", lambda: dd.AttackedObservations(None, "opposite"), "attack"),
     # The defence
     *(
         (f"recipe {n} {v!r}", lambda n=n, v=v: replace(RECIPE, **{n: v}), n)
         for n, v in (
-            ("hidden", 0), ("layers", 0), ("latent", 0), ("epochs", 0), ("batch", 0), ("chunk", 0), ("learning_rate",
-                0.0),
-            ("learning_rate", -1.0), ("learning_rate", nan), ("beta", -1.0), ("beta", nan), ("lam", -1.0), ("lam", nan),
-            ("least_share", -0.1), ("least_share", 1.1), ("least_size", 2.0), ("prior", "flat"), ("epochs", 1.5),
+            ("hidden", 0),
+            ("layers", 0),
+            ("latent", 0),
+            ("epochs", 0),
+            ("batch", 0),
+            ("chunk", 0),
+            ("learning_rate", 0.0),
+            ("learning_rate", -1.0),
+            ("learning_rate", nan),
+            ("beta", -1.0),
+            ("beta", nan),
+            ("lam", -1.0),
+            ("lam", nan),
+            ("least_share", -0.1),
+            ("least_share", 1.1),
+            ("least_size", 2.0),
+            ("prior", "flat"),
+            ("epochs", 1.5),
         )
     ),
     ("training on NaN", lambda: dd.train_gruvae(RECIPE, [(NOT_FINITE, NOT_FINITE)], 0), "pairs"),
@@ -239,13 +267,20 @@ CASES = [
     ("defence of NaN", judged(OBS * nan), "obs"),
     ("defence of doubles", judged(OBS.double()), "obs"),
     ("judging another task", judged(torch.zeros(2, 17)), "obs"),
-    ("oracle outside of rollout", judged(OBS, defense=dd.DetectAndDenoise(dd.OracleDetector(), dd.Identity())),
-        "truth"),
+    (
+        "oracle outside of rollout",
+        judged(OBS, defense=dd.DetectAndDenoise(dd.OracleDetector(), dd.Identity())),
+        "truth",
+    ),
     *(
         (f"predict {name}", predicted(obs), "obs")
         for name, obs in (
-            ("nothing", np.zeros((0, 11))), ("another task", np.zeros(17)), ("NaN", np.full(11, nan)),
-            ("three axes", np.zeros((1, 1, 11))), ("a number", 3.0), ("text", "left"),
+            ("nothing", np.zeros((0, 11))),
+            ("another task", np.zeros(17)),
+            ("NaN", np.full(11, nan)),
+            ("three axes", np.zeros((1, 1, 11))),
+            ("a number", 3.0),
+            ("text", "left"),
         )
     ),
     ("predict with other starts", predicted(np.zeros((2, 11)), episode_start=np.zeros(3, bool)), "episode_start"),
@@ -256,8 +291,11 @@ CASES = [
         for n, v in (("least_share", -0.1), ("least_size", 1.1), ("run", 0))
     ),
     *(
-        (f"collect {n} {v!r}", lambda n=n, v=v: dd.collect_normal(VICTIM, HOPPER, range(2),
-            **dict(steps=2) | {n: v}), n)
+        (
+            f"collect {n} {v!r}",
+            lambda n=n, v=v: dd.collect_normal(VICTIM, HOPPER, range(2), **dict(steps=2) | {n: v}),
+            n,
+        )
         for n, v in (("lockstep", -1), ("lockstep", 0), ("action_noise", (-0.1,)), ("action_noise", ()), ("steps", 0))
     ),
     # Estimates
@@ -267,8 +305,14 @@ CASES = [
     # Victims and critics
     *(
         (f"Q recipe {n} {v!r}", lambda n=n, v=v: dd.QRecipe(**{n: v}), n)
-        for n, v in (("epochs", 0), ("batch", 0), ("learning_rate", 0.0), ("gamma", 1.5), ("lam", -0.1), ("episodes",
-            1))
+        for n, v in (
+            ("epochs", 0),
+            ("batch", 0),
+            ("learning_rate", 0.0),
+            ("gamma", 1.5),
+            ("lam", -0.1),
+            ("episodes", 1),
+        )
     ),
     ("noise of a deterministic policy", lambda: dd.policy_noise(VICTIM), "victim"),
     ("a victim from nothing", lambda: dd.Victim.from_sb3(object()), "model"),
@@ -280,8 +324,16 @@ CASES = [
     *(
         (f"defend {n} {v!r}", lambda n=n, v=v: _defend(**{n: v}), n)
         for n, v in (
-            ("budget", 0.1), ("budget", None), ("budget", dd.Budget(0.1, scale=[1.0] * 3)), ("env", "Hopper-v0"),
-            ("env", "CartPole-v1"), ("env", None), ("scale", "huge"), ("scale", 3), ("seed", 1.5), ("seed", -1),
+            ("budget", 0.1),
+            ("budget", None),
+            ("budget", dd.Budget(0.1, scale=[1.0] * 3)),
+            ("env", "Hopper-v0"),
+            ("env", "CartPole-v1"),
+            ("env", None),
+            ("scale", "huge"),
+            ("scale", 3),
+            ("seed", 1.5),
+            ("seed", -1),
             ("victim", WALKER),
         )
     ),
@@ -296,7 +348,7 @@ CASES = [
     ("load_adversary", lambda: dd.load_adversary("hopper", "td3", "lazy"), "kind"),
     ("Run.of a scale", lambda: dd.Run.of(Path("runs"), "hopper", "td3", "huge"), "scale"),
     ("Run.of an algorithm", lambda: dd.Run.of(Path("runs"), "hopper", "sac", "tiny"), "algorithm"),
-]  # fmt: skip
+]
 
 
 def _defend(**changes):
@@ -311,7 +363,7 @@ def test_bad_input_is_refused_by_a_named_error(do, says, tmp_path):
     _defend.folder = tmp_path / "defended"
     with pytest.raises((ValueError, ArtifactError)) as refused:
         do()
-    assert says in str(refused.value)
+    assert re.search(rf"\b{re.escape(says)}\b", str(refused.value))
     assert not _defend.folder.exists()
 
 
@@ -323,15 +375,34 @@ def test_there_are_two_hundred_bad_inputs():
 # The command line
 
 COMMANDS = [
-    [], ["walk"], ["victim", "--task", "cart"], ["victim", "--algo", "sac"], ["victim", "--scale", "huge"],
-    ["victim", "--seed", "x"], ["denoiser", "--variant", "armour"], ["collect", "--data", "none"], ["evaluate",
-        "--attacks", "tickle"],
-    ["evaluate", "--defenses", "armour"], ["adapt", "--defenses", "none"], ["table", "--task", "hopper"], ["--root",
-        "x"],
-    ["adversary", "--member", "99"], ["adversary", "--member", "-1"], ["select"], ["qfunction"], ["collect"],
-        ["augment"],
-    ["detector"], ["denoiser"], ["timing"], ["choose"], ["linear"], ["evaluate"], ["publish"], ["table"],
-]  # fmt: skip
+    [],
+    ["walk"],
+    ["victim", "--task", "cart"],
+    ["victim", "--algo", "sac"],
+    ["victim", "--scale", "huge"],
+    ["victim", "--seed", "x"],
+    ["denoiser", "--variant", "armour"],
+    ["collect", "--data", "none"],
+    ["evaluate", "--attacks", "tickle"],
+    ["evaluate", "--defenses", "armour"],
+    ["adapt", "--defenses", "none"],
+    ["table", "--task", "hopper"],
+    ["--root", "x"],
+    ["adversary", "--member", "99"],
+    ["adversary", "--member", "-1"],
+    ["select"],
+    ["qfunction"],
+    ["collect"],
+    ["augment"],
+    ["detector"],
+    ["denoiser"],
+    ["timing"],
+    ["choose"],
+    ["linear"],
+    ["evaluate"],
+    ["publish"],
+    ["table"],
+]
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
@@ -408,23 +479,3 @@ def test_junk_for_an_attack_timing_or_defence_never_passes(junk):
         if junk is not None:
             with pytest.raises(ValueError, match=argument):
                 dd.rollout(VICTIM, HOPPER, range(2), steps=1, **dict(attack=dd.UniformNoise(BUDGET)) | {argument: junk})
-
-
-def test_a_defended_policy_in_two_threads_says_so():
-    """Many times, since the threads must meet."""
-    defended, said = dd.Defended(VICTIM, HOPPER, make_defense()), []
-
-    def drive():
-        for _ in range(300):
-            try:
-                defended.predict(np.zeros((64, 11)))
-            except (ValueError, RuntimeError) as error:
-                said.append(str(error))
-                return
-
-    threads = [threading.Thread(target=drive) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert all("thread" in text for text in said)
