@@ -49,8 +49,8 @@ def check_pairs(pairs: Sequence[Pair]) -> None:
         raise ValueError("pairs is empty: give at least [(normal, normal)]")
     for i, (inputs, targets) in enumerate(pairs):
         check_trajectories(f"pairs[{i}]", targets, inputs)
-        if targets.obs.shape[1:] != pairs[0][1].obs.shape[1:]:
-            raise ValueError(f"pairs[{i}]: it has not the steps and observations of the first pair")
+        if (shape := targets.obs.shape[1:]) != (first := pairs[0][1].obs.shape[1:]):
+            raise ValueError(f"pairs[{i}]: its steps and observations are {shape}, and must be {first} as in pairs[0]")
 
 
 def augment(normal: Trajectories, attack: Attack, batch: int = 2_048, seed: int = 0) -> Trajectories:

@@ -31,7 +31,7 @@ class Defended:
         verdict: the ``Verdict`` on the last observations, with ``alarm`` and ``score`` ``[N]``; None before the first.
 
     Raises:
-        ValueError: if the victim or the defence is of another task.
+        ValueError: if the victim or the defence is of another task, or the defence is no ``DetectAndDenoise``.
 
     Example:
         >>> from detden_lite import get_task, load_defense, load_victim
@@ -48,8 +48,9 @@ class Defended:
     _action: torch.Tensor | None
 
     def __init__(self, victim: Victim, task: Task, defense: DetectAndDenoise):
-        if (victim.obs_dim, victim.action_dim) != (task.obs_dim, task.action_dim):
-            raise ValueError(f"victim: it has not the {task.obs_dim} observations and actions of {task.env_id}")
+        task.check_fits(victim.obs_dim, victim.action_dim)
+        if not isinstance(defense, DetectAndDenoise):
+            raise ValueError(f"defense: give a DetectAndDenoise, not {defense!r}")
         if defense.obs_dim not in (None, task.obs_dim):
             raise ValueError(f"defense: it is for {defense.obs_dim} observations, and {task.env_id} has {task.obs_dim}")
         self.victim, self.task = victim, task
@@ -61,6 +62,9 @@ class Defended:
     def __repr__(self) -> str:
         algorithm = "TD3" if self.victim.action_std is None else "PPO"
         return f"Defended({self.task.env_id}, {algorithm}, {self._defense!r})"
+
+    def __getstate__(self) -> dict[str, object]:
+        return self.__dict__ | dict(_turn=[None])  # no thread is inside the copy, even if one is inside the original
 
     @property
     def defense(self) -> DetectAndDenoise:
@@ -100,6 +104,8 @@ class Defended:
         if seen.dtype.kind not in "fiu" or seen.ndim not in (1, 2) or seen.shape[-1] != dim or not seen.size:
             raise ValueError(f"obs must be numbers [{dim}] or [N >= 1, {dim}], not {list(seen.shape)} of {seen.dtype}")
         rows = torch.tensor(seen.reshape(-1, dim), dtype=torch.float32)
+        if not rows.isfinite().all():  # before an episode begins: a call that is refused changes nothing
+            raise ValueError("obs holds NaN or infinity; check the sensor before the defence")
         with self._alone():
             self._begin(len(rows), episode_start)
             self.verdict = verdict = self._defense(rows, self._action)

@@ -93,11 +93,7 @@ def check_fit(victim: Victim, task: Task) -> None:
         ValueError: if it has another number of observations or actions, or its actions have other bounds.
     """
     space = make(task.env_id).action_space
-    if (victim.obs_dim, victim.action_dim) != (task.obs_dim, task.action_dim):
-        raise ValueError(
-            f"victim: it maps {victim.obs_dim} observations to {victim.action_dim} actions, "
-            f"but {task.env_id} has {task.obs_dim} and {task.action_dim}; give the task that it was trained for"
-        )
+    task.check_fits(victim.obs_dim, victim.action_dim)
     low, high = victim.action_low.numpy(), victim.action_high.numpy()
     if not (isinstance(space, Box) and np.allclose(low, space.low) and np.allclose(high, space.high)):
         raise ValueError(

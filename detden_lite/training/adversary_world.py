@@ -58,8 +58,7 @@ class AdversaryEnv(VecEnv):
         check_horizon(steps)
         check_guests(None, timing, defense)
         check_budget(budget, task.obs_dim)
-        if (victim.obs_dim, victim.action_dim) != (task.obs_dim, task.action_dim):
-            raise ValueError(f"victim: its sizes are not those of {task.env_id}; give the victim of this task")
+        task.check_fits(victim.obs_dim, victim.action_dim)
         self.victim, self.budget, self.timing, self.defense = victim, budget, timing or Always(), defense
         self.simulator, self.horizon = make_simulator(task.env_id, range(n)), steps or task.horizon
         everything = Box(-np.inf, np.inf, (task.obs_dim,), np.float32)

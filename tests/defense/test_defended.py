@@ -13,6 +13,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 
 from detden_lite.core.tasks import Task
 from detden_lite.defense.defended import Defended
+from detden_lite.defense.pipeline import DetectAndDenoise
 from detden_lite.simulation.rollout import rollout
 
 TASK = Task("pendulum", "InvertedPendulum-v5", 0.1, 4, 1)
@@ -119,6 +120,8 @@ def test_stable_baselines3_evaluates_it_as_a_model_of_its_own():
         (dict(obs="left"), r"obs must be"),
         (dict(obs=np.zeros((2, 4))), r"obs: it is of 2 episodes, and 5 are under way; call reset"),
         (dict(obs=np.full((5, 4), np.nan)), "obs holds NaN"),
+        (dict(obs=np.full((5, 4), np.inf), episode_start=[True, False, True, False, False]), "obs holds NaN or inf"),
+        (dict(obs=np.full((2, 4), np.nan), episode_start=[True, True]), "obs holds NaN"),
         (dict(obs=OBS[0], episode_start=[True]), "episode_start: it must have one entry for each of the 5 episodes"),
     ],
 )
@@ -140,7 +143,9 @@ def test_an_episode_may_start_after_the_first_prediction_failed():
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
-        ((make_victim(), TASK, make_defense(4)), "victim: .*InvertedPendulum-v5"),
+        ((make_victim(), TASK, make_defense(4)), "it maps 11 .* to 3 actions, but InvertedPendulum-v5 has 4 and 1"),
+        ((VICTIM, TASK, None), "defense: give a DetectAndDenoise, not None"),
+        ((VICTIM, TASK, DetectAndDenoise), "defense: give a DetectAndDenoise"),
         ((VICTIM, TASK, make_defense(11)), "defense: it is for 11 observations, and InvertedPendulum-v5 has 4"),
     ],
 )
@@ -182,6 +187,20 @@ def test_a_copy_goes_on_from_the_same_memory_alone():
     expected = policy.predict(OBS[1])[0]
     for made in copies:
         assert np.array_equal(made.predict(OBS[1])[0], expected)
+
+
+def test_a_copy_made_during_a_prediction_can_predict():
+    class Copied(type(VICTIM)):
+        def forward(self, obs):
+            made.append(copy.deepcopy(policy))
+            return super().forward(obs)
+
+    made: list[Defended] = []
+    victim = Copied(**VICTIM.config)
+    victim.load_state_dict(VICTIM.state_dict())
+    policy = make_defended(victim)
+    policy.predict(OBS[0])
+    assert made[0].predict(OBS[1])[0].shape == (5, 1)
 
 
 @pytest.mark.parametrize(("gaussian", "algorithm"), [(False, "TD3"), (True, "PPO")])
