@@ -95,7 +95,9 @@ def test_an_interrupted_build_leaves_the_old_book(book):
     (book / "book" / "index.md").write_text("slow")
     quiet = dict(stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
     process = subprocess.Popen(["make", *MADE, "book", "SERVE=0"], cwd=book, **quiet)
+    deadline = time.monotonic() + 60
     while process.poll() is None and not (book / "begun").exists():
+        assert time.monotonic() < deadline
         time.sleep(0.02)
     os.killpg(process.pid, signal.SIGINT)
     assert process.wait() != 0
@@ -104,26 +106,32 @@ def test_an_interrupted_build_leaves_the_old_book(book):
     assert (book / "_build" / "html" / "index.html").read_text() == "better"
 
 
-def test_the_lab_serves_what_the_notebooks_link_to():
+def test_the_lab_serves_what_the_notebooks_link_to(tmp_path):
     """The server that ``make lab`` starts, without its browser, is asked for a notebook and for a film."""
     options = "LAB=--no-browser --allow-root --ServerApp.port=0 --IdentityProvider.token=secret"
-    process = subprocess.Popen(
-        ["make", "-o", ".venv/stamp", "lab", options], cwd=ROOT, text=True, stderr=subprocess.PIPE,
-        stdout=subprocess.DEVNULL, start_new_session=True,
-    )  # fmt: skip
+    own = {f"JUPYTER_{kind}_DIR": str(tmp_path / kind) for kind in ("CONFIG", "DATA", "RUNTIME")}  # not the user's
+    log, deadline = tmp_path / "log", time.monotonic() + 120
+    with log.open("w") as file:
+        process = subprocess.Popen(
+            ["make", "-o", ".venv/stamp", "lab", options], cwd=ROOT, env=os.environ | own,
+            stderr=file, stdout=file, start_new_session=True,
+        )  # fmt: skip
     try:
-        lines = iter(process.stderr.readline, "")
-        address = next(found for line in lines if (found := re.search(r"http://127\.0\.0\.1:(\d+)(/lab\S*)\?", line)))
-        assert address[2] == "/lab/tree/notebooks"
-        connection = HTTPConnection("127.0.0.1", int(address[1]))
+        while not (found := re.search(r"http://127\.0\.0\.1:(\d+)(/lab\S*)\?", log.read_text())):
+            assert process.poll() is None and time.monotonic() < deadline, log.read_text()
+            time.sleep(0.1)
+        assert found[2] == "/lab/tree/notebooks"
+        connection = HTTPConnection("127.0.0.1", int(found[1]), timeout=60)
         while connection.sock is None:  # it names its address a moment before it listens
+            assert process.poll() is None and time.monotonic() < deadline, log.read_text()
             with suppress(ConnectionRefusedError):
                 connection.connect()
+            time.sleep(0.1)
         for path in ("notebooks/01-mdp.ipynb", "data/films/hopper-td3-opposite.png", "README.md"):
             connection.request("GET", f"/files/{path}", headers={"Authorization": "token secret"})
             answer = connection.getresponse()
             assert answer.status == 200 and answer.read() == (ROOT / path).read_bytes()
     finally:
-        os.killpg(process.pid, signal.SIGKILL)
+        with suppress(ProcessLookupError):  # it has ended by itself
+            os.killpg(process.pid, signal.SIGKILL)
         process.wait()
-        process.stderr.close()
