@@ -20,7 +20,7 @@ SCALES := $(patsubst data/config/%.yaml,%,$(wildcard data/config/*.yaml))
 LIBRARY := $(wildcard detden_lite/*.py detden_lite/*/*.py)
 DATA := $(wildcard data/* data/*/*)
 BOOK := $(CHAPTERS) $(TOOLS) $(wildcard book/*.* book/api/* book/_static/* book/images/* book/viewer/*/*)
-ROOMS := core victims simulation defense attacks store theory results checks
+FAST := core victims simulation defense attacks training store theory results checks test_rooms.py test_bad_inputs.py
 
 .DEFAULT_GOAL := help
 .PHONY: help book test test-fast notebooks lab data durations bench lint lock clean
@@ -40,12 +40,13 @@ ifneq ($(SERVE),0)
 	$(PY) book/tools/serve.py _build/html $(PORT)
 endif
 
+test test-fast: export OMP_NUM_THREADS := 1
 test: _build/html.stamp ## Run the tests: the library, the notebooks, the built book in a browser
 	$(PY) book/tools/student.py --solved runs/solved
-	$(PY) -m pytest tests runs/solved --nbmake --nbmake-timeout=90 -n $(JOBS)
+	$(PY) -m pytest tests runs/solved --nbmake --nbmake-timeout=300 -n $(JOBS)
 
 test-fast: .venv/stamp ## Run the quick tests of the library: no book, no browser, no recipe
-	$(PY) -m pytest $(addprefix tests/,$(ROOMS)) -m "not slow"
+	$(PY) -m pytest $(addprefix tests/,$(FAST)) -m "not slow"
 
 notebooks: .venv/stamp ## Write notebooks/ from book/chapters/
 	$(PY) book/tools/student.py notebooks

@@ -1,6 +1,7 @@
 """The rooms of the library: who imports whom, what an import loads, and the public face."""
 
 import importlib
+import re
 import subprocess
 import sys
 from collections import Counter
@@ -89,3 +90,24 @@ def test_every_module_and_room_says_what_it_is_for():
         if path.name != "__main__.py":
             name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
             assert importlib.import_module(name).__doc__, name
+
+
+def test_the_types_of_the_public_face_are_those_that_it_loads():
+    """``__init__.pyi`` is what type checkers read: it names what ``__init__.py`` offers, from the same modules."""
+    stub = (PACKAGE / "__init__.pyi").read_text("utf-8")
+    named = re.findall(r"^from detden_lite\.([\w.]+) import (\w+) as \2$", stub, re.M)
+    assert sorted(named) == sorted(
+        [(module, name) for module, names in detden_lite._FACE.items() for name in names.split()]
+        + [tuple(module.rsplit(".", 1)) for module in detden_lite._MODULES]
+    )
+
+
+@pytest.mark.slow
+def test_a_type_checker_knows_the_public_face(tmp_path):
+    script = tmp_path / "user.py"
+    script.write_text(
+        "from detden_lite import Budget, catalogue\nb: Budget = Budget(0.1)\nn: int = len(catalogue.FOUR)\n"
+    )
+    command = [sys.executable, "-m", "mypy", "--config-file=", "--cache-dir", tmp_path / "cache", script]
+    checked = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert checked.returncode == 0, checked.stdout

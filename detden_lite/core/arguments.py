@@ -16,7 +16,7 @@ def check_whole(least: int, **values: object) -> None:
         ValueError: steps must be a whole number of at least 1, not 0
     """
     for name, value in values.items():
-        if not isinstance(value, Integral) or value < least:
+        if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
             raise ValueError(f"{name} must be a whole number of at least {least}, not {value!r}")
 
 

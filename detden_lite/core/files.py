@@ -4,7 +4,7 @@ import errno
 import os
 import uuid
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))  # Windows has no quota
@@ -49,7 +49,9 @@ def replace_file(path: Path, content: bytes) -> None:
 
 
 def replace_files(files: Mapping[Path, bytes]) -> None:
-    """Write files that belong together, all or none: each is written whole before the first takes its place.
+    """Write files that belong together: all are written before the first takes its place, and they do so in order.
+
+    If the disk is full, nothing changes. A kill between two of them leaves each whole, the first new and the last old.
 
     Raises:
         ArtifactError: if one of them cannot be written.
@@ -82,7 +84,7 @@ def replacing(path: Path, suffix: str | None = None) -> Iterator[str]:
         yield str(new)
         _sync(new)
         os.replace(new, path)
-        if os.name != "nt":  # Windows cannot open a folder
+        with suppress(OSError):  # not every file system, and no Windows, can wait for a folder; the file is in place
             _sync(path.parent)
     except OSError as error:
         if error.filename is None or Path(error.filename) in (new, path):

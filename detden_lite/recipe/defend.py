@@ -60,7 +60,7 @@ def defend(
         seed: of the trainings.
 
     Raises:
-        ValueError: for an argument that is none; if the policy or the task cannot be defended or do not fit each other;
+        ValueError: for an argument that is not valid; if policy or task cannot be defended or do not fit each other;
             if the folder holds the defence of another victim, or of other or unknown settings. Nothing is then written.
         ArtifactError: if the disk is full, or the folder's manifest.json is damaged.
 

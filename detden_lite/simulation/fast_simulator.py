@@ -192,7 +192,7 @@ class Humanoid(FastSimulator):
 
     def _place(self) -> np.ndarray:
         mass, bodies = self.env.model.body_mass, self._rows(self.bodies).reshape(len(self.envs), -1, 3)
-        return np.einsum("b,nbj->nj", mass, bodies)[:, 0] / mass.sum()
+        return (mass[:, None] * bodies).sum(1)[:, 0] / mass.sum()
 
     def _costs(self, action: np.ndarray) -> np.ndarray:
         contact = self.env._contact_cost_weight * np.square(self._rows(self.forces)).sum(-1)

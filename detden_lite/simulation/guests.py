@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from detden_lite.core.arguments import check_whole
+from detden_lite.core.budget import Budget
 from detden_lite.core.types import KNOWLEDGE, Verdict
 
 
@@ -37,6 +38,8 @@ def check_guests(attack: object, timing: object, defense: object) -> None:
 
 def check_seeds(seeds: Sequence[int]) -> None:
     """Check that there is at least one seed, and that each is a whole number of at least 0."""
+    if not hasattr(seeds, "__len__"):
+        raise ValueError(f"seeds: give a sequence with one seed for each episode, such as range(8), not {seeds!r}")
     if not len(seeds):
         raise ValueError("seeds is empty: give one seed for each episode")
     for seed in seeds:
@@ -51,7 +54,10 @@ def check_horizon(steps: int | None, name: str = "steps") -> None:
 
 def check_noise(action_noise: float | np.ndarray | Tensor, n: int, action_dim: int) -> Tensor:
     """The exploration noise as ``[1 or N, 1 or action_dim]``; it must be finite and at least 0."""
-    noise = torch.as_tensor(action_noise, dtype=torch.float32)
+    try:
+        noise = torch.as_tensor(action_noise, dtype=torch.float32)
+    except (TypeError, ValueError, RuntimeError):
+        raise ValueError(f"action_noise must be a number or an array of numbers, not {action_noise!r}") from None
     if not (noise.isfinite() & (noise >= 0)).all():
         raise ValueError(f"action_noise must be finite and at least 0 everywhere, not {action_noise}")
     noise = noise if noise.ndim == 2 else noise.reshape(-1, 1)
@@ -66,14 +72,16 @@ def check_timing(attacked: Tensor, n: int) -> None:
 
 
 def check_perturbed(attack: object, perturbed: Tensor, true: Tensor, wanted: Tensor) -> None:
-    """Check an attack's answer at the first step: shape, numbers, and its own budget on the rows that are wanted."""
+    """Check an attack's answer: shape, numbers, and its own budget on the rows that are attacked."""
     _check("attack", "it gives", perturbed, tuple(true.shape), torch.float32)
     rows = perturbed[wanted]
     if not rows.isfinite().all():
-        raise ValueError("attack: it gives NaN or infinity at the first step")
+        raise ValueError("attack: it gives NaN or infinity")
     budget = getattr(attack, "budget", None)
     if budget is None or not len(rows):
         return
+    if not isinstance(budget, Budget):
+        raise ValueError(f"attack: its budget must be a Budget, not {budget!r}")
     size, true = budget.size(true[wanted], rows), true[wanted]
     rounding = 4e-7 * ((true.abs() + rows.abs()) / budget.scale).sum(-1) + 1e-5 * budget.epsilon + 1e-6
     if (size > budget.epsilon + rounding).any():

@@ -60,11 +60,9 @@ def rollout(
         >>> rollout(victim, task, range(2), attack=attack, steps=5).returns.shape
         (2,)
     """
-    if (victim.obs_dim, victim.action_dim) != (task.obs_dim, task.action_dim):
-        raise ValueError(
-            f"victim: it maps {victim.obs_dim} observations to {victim.action_dim} actions, "
-            f"but {task.env_id} has {task.obs_dim} and {task.action_dim}; give the victim of this task"
-        )
+    if not (isinstance(victim, Victim) and isinstance(task, Task)):
+        raise ValueError(f"victim, task: give a Victim and a Task, not {type(victim).__name__}, {type(task).__name__}")
+    task.check_fits(victim.obs_dim, victim.action_dim)
     guests.check_seeds(seeds)
     guests.check_horizon(steps)
     guests.check_guests(attack, timing, defense)
@@ -79,6 +77,7 @@ def rollout(
     exploration = RandomStreams(1, simulator.seeds)
     half_range = (victim.action_high - victim.action_low) / 2
 
+    unchecked = attack is not None
     nothing, everyone = torch.zeros(n, dtype=torch.bool), torch.ones(n, dtype=torch.bool)
     no_score = torch.zeros(n)
     history: dict[str, list] = {f.name: [] for f in fields(Episodes)[1:]}
@@ -98,8 +97,9 @@ def rollout(
                 action,
             )
             found = attack(true, world)
-            if step == 0:
+            if unchecked:  # until there is a row that it attacks, nothing says whether it stays in its ball
                 guests.check_perturbed(attack, found, true, attacked)
+                unchecked = not attacked.any()
             perturbed = torch.where(attacked[:, None], found, true)
         shown, alarm, score, denoised = perturbed, nothing, no_score, perturbed
         if defense is not None:

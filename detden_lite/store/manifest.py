@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 from filelock import FileLock
 
-from detden_lite.core.files import ArtifactError, replace_files
+from detden_lite.core.files import ArtifactError, replace_files, unwritable
 
 PACKAGED = Path(__file__).resolve().parents[1] / "data"  # the small models in an installed wheel; not in a checkout
 
@@ -25,6 +25,8 @@ def find_data() -> Path:
     if named := os.environ.get("DETDEN_DATA"):
         return Path(named)
     repository = PACKAGED.parents[1] / "data"
+    if not (repository / "Snakefile").exists():  # it is another package's, beside this one
+        return PACKAGED
     return next((folder for folder in (repository, PACKAGED) if (folder / "manifest.json").exists()), repository)
 
 
@@ -48,19 +50,27 @@ def write_bytes(path: Path, content: bytes, root: Path = DATA) -> None:
 
 
 def write_together(files: Mapping[Path, bytes], root: Path) -> None:
-    """Write files that belong together, all or none, and note them in the manifest.
+    """Write files that belong together, and note them in the manifest, which is replaced last.
 
     Several processes may write at once, such as the stages of a recipe that run side by side.
 
     Raises:
-        ArtifactError: if one of them cannot be written, or is not inside ``root``; everything is then as it was.
+        ArtifactError: if one of them cannot be written, or is not inside ``root``; if the disk is full, everything is
+            then as it was.
     """
     sums = {_name(path, root): hashlib.sha256(content).hexdigest() for path, content in files.items()}
-    for path in files:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    with FileLock(root / ".manifest.lock"):
+    try:
+        for path in files:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(root / ".manifest.lock")
+        lock.acquire()
+    except OSError as error:
+        raise unwritable(Path(error.filename or root), error) from None
+    try:
         manifest = json.dumps(_manifest(root) | sums, indent=1, sort_keys=True) + "\n"
         replace_files({**files, root / "manifest.json": manifest.encode()})
+    finally:
+        lock.release()
 
 
 def read_bytes(path: Path, root: Path = DATA) -> bytes:

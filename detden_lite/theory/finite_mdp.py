@@ -77,7 +77,7 @@ class FiniteMDP:
             The state that is shown in each state, ``[S]`` integers. The policy under attack is ``policy[nu]``.
 
         Raises:
-            ValueError: if the policy is none of this MDP, or ``allowed`` has another shape.
+            ValueError: if the policy does not belong to this MDP, or ``allowed`` has another shape.
         """
         check_policy(policy, self.transition.shape[:2])
         _check_allowed(allowed, len(policy))
