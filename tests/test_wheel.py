@@ -85,6 +85,25 @@ def test_the_packaged_victims_and_defences_work(installed, tmp_path):
     assert module.is_relative_to(installed.parents[1]) and data == module.parent / "data"
 
 
+EXTRAS = ("stable_baselines3", "sbx", "jax", "flax", "matplotlib", "ipywidgets", "IPython", "rerun", "imageio_ffmpeg")
+
+WITHOUT_EXTRAS = f"""
+import sys
+
+class Blocked:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {EXTRAS}:
+            raise ImportError(f"{{name}} is no dependency of the library's core")
+
+sys.meta_path.insert(0, Blocked())
+"""
+
+
+def test_the_packaged_models_need_no_optional_dependency(installed, tmp_path):
+    found = use(installed, WITHOUT_EXTRAS + USE, tmp_path)
+    assert found.returncode == 0, found.stderr
+
+
 def test_the_packaged_files_are_those_of_the_repository(installed, tmp_path):
     found = use(installed, "from detden_lite.store.manifest import DATA; print(DATA)", tmp_path)
     data = Path(found.stdout.strip())
