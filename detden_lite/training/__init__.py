@@ -1,4 +1,4 @@
-"""How victims and adversaries are trained: hyperparameters, the worlds they learn in, checkpoints, selection.
+"""How victims and adversaries are trained: hyperparameters, worlds to learn in, checkpoints.
 
 Only this room needs stable-baselines3 and sbx-rl.
 """

@@ -1,1 +1,1 @@
-"""A frozen policy with its critic: where it comes from, and how it is trained."""
+"""A frozen policy with its critic: where it comes from, and its gradients."""
