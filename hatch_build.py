@@ -32,4 +32,5 @@ class SmallModels(BuildHookInterface):
             self.temporary.cleanup()
 
     def _is_small(self, path: Path) -> bool:
-        return path.parent.name.split("-")[0] in self.config["tasks"] and path.stem in self.config["files"]
+        task = path.parts[0].split("-")[0]
+        return len(path.parts) == 2 and task in self.config["tasks"] and path.stem in self.config["files"]
