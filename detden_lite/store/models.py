@@ -44,7 +44,7 @@ def load_victim(task: str, algo: str, root: Path = DATA) -> Victim:
     victim, _ = _build(
         lambda card, state: Victim.from_state(card["config"], state), folder / "victim.safetensors", root
     )
-    if promised(folder / "critic.safetensors", root) is None:
+    if not (folder / "critic.safetensors").exists():
         return victim
     with_critic, _ = _build(
         lambda card, state: victim.with_critic(card["critic"], state, card["activation"]),
