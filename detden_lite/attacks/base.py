@@ -1,33 +1,18 @@
 """The base class of the attacks here: their ball, and the checks at the first call after a reset."""
 
 from collections.abc import Sequence
-from numbers import Real
 
-import torch
 from torch import Tensor
 
+from detden_lite.core.arguments import check_kind
 from detden_lite.core.budget import Budget
-
-
-def check_kind(kind: type, **values: object) -> None:
-    """Refuse what is of another kind; the ValueError names the argument."""
-    for name, value in values.items():
-        if not isinstance(value, kind):
-            raise ValueError(f"{name} must be a {kind.__name__}, not {value!r}")
-
-
-def check_number(**values: object) -> None:
-    """Refuse what is no number; infinity is one. The ValueError names the argument."""
-    for name, value in values.items():
-        if not isinstance(value, Real) or value != value:
-            raise ValueError(f"{name} must be a number, not {value!r}")
 
 
 def check_budget(budget: Budget, obs_dim: int | None) -> None:
     """Refuse what is no ``Budget``, or one whose scale has another length than the observations, if that is known."""
     check_kind(Budget, budget=budget)
     if obs_dim is not None:
-        budget.projection(torch.zeros(1, obs_dim))  # refuses a scale of another length
+        budget.check_fits(obs_dim)
 
 
 class BallAttack:
@@ -42,6 +27,7 @@ class BallAttack:
         ValueError: if ``budget`` is no ``Budget``, or its scale has another length than the observations.
 
     Example:
+        >>> import torch
         >>> from detden_lite import Budget
         >>> from detden_lite.attacks.base import BallAttack
         >>> class Shift(BallAttack):  # raises every number as far as the ball allows

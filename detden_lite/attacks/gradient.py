@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from detden_lite.attacks.base import BallAttack, check_kind
-from detden_lite.core.arguments import check_whole
+from detden_lite.attacks.base import BallAttack
+from detden_lite.core.arguments import check_kind, check_whole
 from detden_lite.core.ascent import ascend
 from detden_lite.core.budget import Budget
 from detden_lite.core.random_streams import RandomStreams

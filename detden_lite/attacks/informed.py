@@ -12,8 +12,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from detden_lite.attacks.base import BallAttack, check_kind
+from detden_lite.attacks.base import BallAttack
 from detden_lite.attacks.gradient import GradientAttack
+from detden_lite.core.arguments import check_kind
 from detden_lite.core.random_streams import RandomStreams, derived_seed
 from detden_lite.core.types import World
 from detden_lite.defense.gruvae import sample

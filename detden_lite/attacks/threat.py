@@ -4,10 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import inf
 
-from detden_lite.attacks.base import check_kind, check_number
 from detden_lite.attacks.catalogue import CATALOGUE, TIMINGS
 from detden_lite.attacks.timing import Always, Random, Vulnerable
-from detden_lite.core.arguments import check_between, check_whole
+from detden_lite.core.arguments import check_between, check_kind, check_number, check_whole
 from detden_lite.core.budget import Budget
 from detden_lite.core.tasks import Task
 from detden_lite.core.types import Attack, Timing

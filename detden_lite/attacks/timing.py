@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from detden_lite.attacks.base import check_number
-from detden_lite.core.arguments import check_between, check_whole
+from detden_lite.core.arguments import check_between, check_number, check_whole
 from detden_lite.core.random_streams import RandomStreams
 from detden_lite.victims.victim import Victim
 

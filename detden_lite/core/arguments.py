@@ -35,5 +35,19 @@ def check_between(low: float, high: float, **values: object) -> None:
             raise ValueError(f"{name} must be a finite number {limits}, not {value!r}")
 
 
+def check_kind(kind: type, **values: object) -> None:
+    """Refuse what is of another kind; the ValueError names the argument."""
+    for name, value in values.items():
+        if not isinstance(value, kind):
+            raise ValueError(f"{name} must be a {kind.__name__}, not {value!r}")
+
+
+def check_number(**values: object) -> None:
+    """Refuse what is no number; infinity is one. The ValueError names the argument."""
+    for name, value in values.items():
+        if not isinstance(value, Real) or value != value:
+            raise ValueError(f"{name} must be a number, not {value!r}")
+
+
 def _number(value: object) -> float:
     return float(value) if isinstance(value, Real) else nan

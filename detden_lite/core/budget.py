@@ -53,14 +53,16 @@ class Budget:
         # A plain number stays one: it is exact, and 1.0 is skipped in ``steepest``.
         object.__setattr__(self, "scale", float(self.scale) if isinstance(self.scale, Real) else scale)
 
-    def _check_length(self, obs: Tensor) -> None:
-        n, dim = torch.as_tensor(self.scale).numel(), obs.shape[-1]
-        if n not in (1, dim):
-            raise ValueError(f"scale: it has {n} numbers, and an observation {dim}; give one for each")
+    def check_fits(self, obs_dim: int) -> None:
+        """Refuse observations of a length that the scale is not made for; a ValueError says both lengths."""
+        if isinstance(self.scale, Tensor) and self.scale.numel() not in (1, obs_dim):
+            raise ValueError(
+                f"scale: it has {self.scale.numel()} numbers, and an observation {obs_dim}; give one for each"
+            )
 
     def size(self, obs: Tensor, perturbed: Tensor) -> Tensor:
         """||(perturbed - obs) / scale||, ``[N]``."""
-        self._check_length(obs)
+        self.check_fits(obs.shape[-1])
         return torch.linalg.vector_norm((perturbed - obs) / self.scale, ord=self.norm, dim=-1)
 
     def contains(self, obs: Tensor, perturbed: Tensor, atol: float = 1e-5) -> Tensor:
@@ -71,7 +73,7 @@ class Budget:
         """The point of B(obs) that is nearest to ``perturbed`` (in l2, after dividing by scale), ``[N, obs_dim]``."""
         if self.norm == inf:
             return self.projection(obs)(perturbed)
-        self._check_length(obs)
+        self.check_fits(obs.shape[-1])
         delta = (perturbed - obs) / self.scale
         if self.norm == 1:
             delta = _soft_threshold(delta, self.epsilon)  # exact but for rounding, which the next lines take back
@@ -80,7 +82,7 @@ class Budget:
 
     def projection(self, obs: Tensor) -> Callable[[Tensor], Tensor]:
         """``project`` on the balls of these observations, for many calls."""
-        self._check_length(obs)
+        self.check_fits(obs.shape[-1])
         if self.norm == inf:
             radius = self.epsilon * self.scale
             low, high = obs - radius, obs + radius
@@ -102,7 +104,7 @@ class Budget:
 
     def sample(self, obs: Tensor, streams: RandomStreams) -> Tensor:
         """A uniformly random point of B(obs), ``[N, obs_dim]``."""
-        self._check_length(obs)
+        self.check_fits(obs.shape[-1])
         n, dim = obs.shape
         if self.norm == inf:
             delta = 2 * streams.uniform(n, dim) - 1

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from detden_lite.core.arguments import check_kind
 from detden_lite.core.random_streams import RandomStreams
 from detden_lite.core.tasks import Task
 from detden_lite.core.types import Attack, Defense, Episodes, Timing, World
@@ -60,8 +61,8 @@ def rollout(
         >>> rollout(victim, task, range(2), attack=attack, steps=5).returns.shape
         (2,)
     """
-    if not (isinstance(victim, Victim) and isinstance(task, Task)):
-        raise ValueError(f"victim, task: give a Victim and a Task, not {type(victim).__name__}, {type(task).__name__}")
+    check_kind(Victim, victim=victim)
+    check_kind(Task, task=task)
     task.check_fits(victim.obs_dim, victim.action_dim)
     guests.check_seeds(seeds)
     guests.check_horizon(steps)
