@@ -2,11 +2,10 @@
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from types import UnionType
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +14,8 @@ from detden_lite.core.files import ArtifactError
 from detden_lite.core.metrics import DetectionDelay, DetectorScores
 from detden_lite.core.types import Episodes
 from detden_lite.results.cells import Cell
+from detden_lite.results.typed_json import plain, typed
 from detden_lite.store.manifest import DATA, REMEDY, read_json
-
-T = TypeVar("T")
 
 SCHEMA = 2  # of new records; those of schema 1 have no "schema" entry and no scores per episode
 
@@ -142,8 +140,8 @@ class Record(Mapping[str, Any]):
             known = f"this version of detden-lite reads 1 and {SCHEMA}: update it"
             raise ValueError(f"its schema is {content['schema']!r}, and {known}")
         json.dumps(content, allow_nan=False)
-        record = _typed(cls, {"schema": 1} | content, "it")
-        if misplaced := set(content) ^ set(record):
+        record = typed(cls, {"schema": 1} | content, "it")
+        if misplaced := set(content) ^ set(record._entries):
             raise ValueError(f"{', '.join(sorted(misplaced))}: without the entries that belong to it, or missing")
         if {len(record.returns), len(record.lengths), record.estimate.n} != {record.seeds[1]}:
             raise ValueError("seeds, returns, lengths and estimate are of different numbers of episodes")
@@ -151,21 +149,26 @@ class Record(Mapping[str, Any]):
             raise ValueError("episodes and seeds are of different numbers of episodes")
         return record
 
-    def to_json(self) -> dict[str, Any]:
-        """The record as a JSON object, without the entries that an older record lacks."""
+    @property
+    def _entries(self) -> list[str]:
+        """The names of the JSON's entries: an older record lacks some."""
         absent = ["schema", "episodes"] if self.schema == 1 else []
         absent += ["auroc", "delay"] if self.delay is None else []
         absent += ["auroc_clean", "denoiser_mae_live", "live_dimensions"] if self.live_dimensions is None else []
-        return {name: _plain(value) for name, value in asdict(self).items() if name not in absent}
+        return [field.name for field in fields(self) if field.name not in absent]
+
+    def to_json(self) -> dict[str, Any]:
+        """The record as a JSON object, without the entries that an older record lacks."""
+        return {name: plain(getattr(self, name)) for name in self._entries}
 
     def __getitem__(self, name: str) -> Any:
         return self._json[name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._json)
+        return iter(self._entries)
 
     def __len__(self) -> int:
-        return len(self._json)
+        return len(self._entries)
 
     @cached_property
     def _json(self) -> dict[str, Any]:
@@ -195,38 +198,3 @@ def load_cells(wanted: Iterable[Cell], task: str, algo: str, root: Path = DATA) 
     names = {(cell.attack, cell.timing): cell.record_name(task, algo) for cell in wanted}
     there = {cell: name for cell, name in names.items() if (root / "results" / f"{name}.json").exists()}
     return {cell: load_record(name, root) for cell, name in there.items()}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _plain(part) for name, part in value.items()}
-    return [_plain(part) for part in value] if isinstance(value, list | tuple) else value
-
-
-def _typed(kind: type[T], content: object, name: str) -> T:
-    """An instance of a dataclass from a JSON object, if each entry is of the type that its field has."""
-    if not isinstance(content, dict):
-        raise ValueError(f"{name} must be an object, not {content!r:.40}")
-    hints, optional = get_type_hints(kind), {field.name for field in fields(kind) if field.default is None}  # type: ignore[arg-type]  # kind is a dataclass
-    if missing := set(hints) - set(content) - optional:
-        raise ValueError(f"{name} lacks {', '.join(sorted(missing))}")
-    if extra := set(content) - set(hints):
-        raise ValueError(f"{name} has an unknown entry: {', '.join(sorted(extra))}")
-    return kind(**{key: _value(hints[key], value, key) for key, value in content.items()})
-
-
-def _value(hint: Any, value: object, name: str) -> object:
-    """``value``, with lists as tuples and objects as dataclasses, if it is of this type; a ValueError otherwise."""
-    if get_origin(hint) is UnionType:  # with None
-        return None if value is None else _value(get_args(hint)[0], value, name)
-    if is_dataclass(hint):
-        return _typed(hint, value, name)  # type: ignore[arg-type]  # a class, since it is a hint
-    if get_origin(hint) is tuple and isinstance(value, list):
-        kinds = get_args(hint)
-        kinds = kinds[:1] * len(value) if kinds[-1] is ... else kinds
-        if len(kinds) == len(value):
-            return tuple(_value(kind, part, name) for kind, part in zip(kinds, value, strict=True))
-    plain = float | int if hint is float else dict if get_origin(hint) is Mapping else hint
-    if isinstance(plain, type | UnionType) and isinstance(value, plain) and not isinstance(value, bool):
-        return value
-    raise ValueError(f"{name} must be of the type {getattr(hint, '__name__', hint)}, not {value!r:.40}")
