@@ -104,8 +104,7 @@ class Defended:
         if seen.dtype.kind not in "fiu" or seen.ndim not in (1, 2) or seen.shape[-1] != dim or not seen.size:
             raise ValueError(f"obs must be numbers [{dim}] or [N >= 1, {dim}], not {list(seen.shape)} of {seen.dtype}")
         rows = torch.tensor(seen.reshape(-1, dim), dtype=torch.float32)
-        if not rows.isfinite().all():  # before an episode begins: a call that is refused changes nothing
-            raise ValueError("obs holds NaN or infinity; check the sensor before the defence")
+        self._defense.check(rows)  # before an episode begins: a call that is refused changes nothing
         with self._alone():
             self._begin(len(rows), episode_start)
             self.verdict = verdict = self._defense(rows, self._action)

@@ -93,6 +93,18 @@ class DetectAndDenoise:
             if "truth" in getattr(part, "needs", ()) and hasattr(part, "reveal"):
                 part.reveal(true, attacked)
 
+    def check(self, obs: Tensor) -> None:
+        """Refuse observations of another shape or type, or that are not finite; the memories stay as they are.
+
+        Raises:
+            ValueError: says what is wrong.
+        """
+        if obs.ndim != 2 or obs.dtype != torch.float32 or obs.shape[1] != (self.obs_dim or obs.shape[1]):
+            wanted = f"[{self._rows or 'N'}, {self.obs_dim or 'obs_dim'}]"
+            raise ValueError(f"obs must be a float32 tensor {wanted}, not {list(obs.shape)} of {obs.dtype}")
+        if not torch.isfinite(obs).all():
+            raise ValueError("obs holds NaN or infinity; check the sensor before the defence")
+
     def __call__(self, obs: Tensor, action: Tensor | None = None) -> Verdict:
         """Judge one observation of each episode.
 
@@ -106,13 +118,9 @@ class DetectAndDenoise:
         """
         if self._rows is None:
             raise ValueError("no episode is under way; call reset(episodes) first, with one seed for each row of obs")
-        if obs.ndim != 2 or obs.dtype != torch.float32 or obs.shape[1] != (self.obs_dim or obs.shape[1]):
-            wanted = f"[{self._rows}, {self.obs_dim or 'obs_dim'}]"
-            raise ValueError(f"obs must be a float32 tensor {wanted}, not {list(obs.shape)} of {obs.dtype}")
+        self.check(obs)
         if len(obs) != self._rows:
             raise ValueError(f"obs has {len(obs)} rows, but {self._rows} episodes are under way; call reset(episodes)")
-        if not torch.isfinite(obs).all():
-            raise ValueError("obs holds NaN or infinity; check the sensor before the defence")
         score, alarm, reconstruction = self.detector.step(obs)
         denoised = reconstruction if self.denoiser is None else self.denoiser.step(obs, action)
         if self.budget is not None:
