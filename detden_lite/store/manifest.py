@@ -25,9 +25,8 @@ def find_data() -> Path:
     if named := os.environ.get("DETDEN_DATA"):
         return Path(named)
     repository = PACKAGED.parents[1] / "data"
-    if not (repository / "Snakefile").exists():  # it is another package's, beside this one
-        return PACKAGED
-    return next((folder for folder in (repository, PACKAGED) if (folder / "manifest.json").exists()), repository)
+    # Beside an installed package there may be a data/ of another one.
+    return repository if (repository / "Snakefile").exists() else PACKAGED
 
 
 DATA = find_data()

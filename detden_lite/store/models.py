@@ -164,7 +164,7 @@ def _adversary(card: Mapping[str, Any], state: Mapping[str, Tensor]) -> Victim:
 
 
 def _build(make: Callable[[dict[str, Any], dict[str, Tensor]], M], path: Path, root: Path) -> tuple[M, dict[str, Any]]:
-    if promised(path, root) is None and not path.exists():
+    if not path.exists() and promised(path, root) is None:
         raise _unknown(path, root)
     state, sidecar = load_tensors(path, root)
     try:
