@@ -111,60 +111,16 @@ def build_defense(run: Run[DefenseScale], name: str) -> DetectAndDenoise:
     return _MAKERS[name](run, main.detector, main.denoiser)
 
 
-def _always(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
-    return DetectAndDenoise(detector, denoiser, always=True)
+def _tuned(run: Run[DefenseScale]) -> float:
+    """The paper's threshold, from ``tune_threshold``."""
+    return manifest.read_json(run.folder / "threshold.json", run.root)["threshold"]
 
 
-def _projected(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
-    return DetectAndDenoise(detector, denoiser, budget=run.budget)
-
-
-def _detector_only(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
-    return DetectAndDenoise(detector)
-
-
-def _latent_mean(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
-    quiet = Detector(detector.model, detector.threshold, sample=False)
-    return DetectAndDenoise(quiet, Denoiser(denoiser.model, sample=False))
-
-
-def _tuned(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
-    tuned = manifest.read_json(run.folder / "threshold.json", run.root)["threshold"]
-    return DetectAndDenoise(Detector(detector.model, tuned), denoiser)
-
-
-def _identity(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
-    return DetectAndDenoise(detector, Identity())
-
-
-def _kalman(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
-    _, model, _ = _linear_models(run)
-    return DetectAndDenoise(detector, KalmanFilter(model, run.budget))
-
-
-def _autoencoder(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
+def _autoencoder(run: Run[DefenseScale]) -> DenoisingAutoencoder:
     state, sidecar = tensors.load_tensors(run.folder / "autoencoder.safetensors", run.root)
     model = DenoisingAutoencoder(**sidecar["config"])
     model.load_state_dict(state)
-    return DetectAndDenoise(detector, model.requires_grad_(False).eval())
-
-
-def _mahalanobis(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
-    gaussian, _, thresholds = _linear_models(run)
-    return DetectAndDenoise(MahalanobisDetector(gaussian, thresholds["mahalanobis"]), denoiser)
-
-
-def _prediction(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
-    _, model, thresholds = _linear_models(run)
-    return DetectAndDenoise(PredictionDetector(model, thresholds["prediction"]), denoiser)
-
-
-def _oracle_detector(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
-    return DetectAndDenoise(OracleDetector(), denoiser)
-
-
-def _oracle_denoiser(run: Run[DefenseScale], detector: Detector, denoiser: Denoiser) -> DetectAndDenoise:
-    return DetectAndDenoise(detector, OracleDenoiser())
+    return model.requires_grad_(False).eval()
 
 
 def _linear_models(run: Run[DefenseScale]) -> tuple[Gaussian, LinearModel, dict[str, float]]:
@@ -174,18 +130,30 @@ def _linear_models(run: Run[DefenseScale]) -> tuple[Gaussian, LinearModel, dict[
     return gaussian, LinearModel(**state), sidecar["thresholds"]
 
 
-# How each name of ``ASSEMBLED`` is made from the networks of the main defence.
+def _mahalanobis(run: Run[DefenseScale]) -> MahalanobisDetector:
+    gaussian, _, thresholds = _linear_models(run)
+    return MahalanobisDetector(gaussian, thresholds["mahalanobis"])
+
+
+def _prediction(run: Run[DefenseScale]) -> PredictionDetector:
+    _, model, thresholds = _linear_models(run)
+    return PredictionDetector(model, thresholds["prediction"])
+
+
+# How each name of ``ASSEMBLED`` is made from the detector and the denoiser of the main defence.
 _MAKERS: dict[str, Callable[[Run[DefenseScale], Detector, Denoiser], DetectAndDenoise]] = {
-    "always": _always,
-    "detector-only": _detector_only,
-    "latent-mean": _latent_mean,
-    "projected": _projected,
-    "tuned": _tuned,
-    "identity": _identity,
-    "kalman": _kalman,
-    "autoencoder": _autoencoder,
-    "mahalanobis": _mahalanobis,
-    "prediction": _prediction,
-    "oracle-detector": _oracle_detector,
-    "oracle-denoiser": _oracle_denoiser,
+    "always": lambda run, det, den: DetectAndDenoise(det, den, always=True),
+    "detector-only": lambda run, det, den: DetectAndDenoise(det),
+    "latent-mean": lambda run, det, den: DetectAndDenoise(
+        Detector(det.model, det.threshold, sample=False), Denoiser(den.model, sample=False)
+    ),
+    "projected": lambda run, det, den: DetectAndDenoise(det, den, budget=run.budget),
+    "tuned": lambda run, det, den: DetectAndDenoise(Detector(det.model, _tuned(run)), den),
+    "identity": lambda run, det, den: DetectAndDenoise(det, Identity()),
+    "kalman": lambda run, det, den: DetectAndDenoise(det, KalmanFilter(_linear_models(run)[1], run.budget)),
+    "autoencoder": lambda run, det, den: DetectAndDenoise(det, _autoencoder(run)),
+    "mahalanobis": lambda run, det, den: DetectAndDenoise(_mahalanobis(run), den),
+    "prediction": lambda run, det, den: DetectAndDenoise(_prediction(run), den),
+    "oracle-detector": lambda run, det, den: DetectAndDenoise(OracleDetector(), den),
+    "oracle-denoiser": lambda run, det, den: DetectAndDenoise(det, OracleDenoiser()),
 }

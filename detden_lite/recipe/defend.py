@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 from dataclasses import asdict, fields
 from pathlib import Path
 from types import EllipsisType
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING
 import gymnasium
 import torch
 
+from detden_lite.core.arguments import check_whole
 from detden_lite.core.budget import Budget
 from detden_lite.defense.defended import Defended
 from detden_lite.defense.variants import MAIN, VARIANTS
@@ -74,7 +74,8 @@ def defend(
     """
     if not isinstance(budget, Budget):
         raise ValueError(f"budget: give a detden_lite.Budget, such as Budget(0.1), not {budget!r}")
-    seed, root = _whole(seed), _folder(folder)
+    check_whole(0, **{"seed: it": seed})
+    seed, root = int(seed), _folder(folder)
     if not isinstance(victim, Victim):
         victim = Victim.from_sb3(victim, vecnormalize)
     task = task_of(env, budget)
@@ -96,16 +97,6 @@ def defend(
     if not manifest.is_made(denoiser, run.root):
         defense_stages.train_denoiser(run, MAIN, seed, parts)
     return Defended(victim, task, run.defense(MAIN))
-
-
-def _whole(seed: int) -> int:
-    try:
-        number = operator.index(seed)
-    except TypeError:
-        number = -1
-    if number < 0 or isinstance(seed, bool):
-        raise ValueError(f"seed: it must be a whole number of at least 0, not {seed!r}")
-    return number
 
 
 def _folder(folder: str | Path) -> Path:
