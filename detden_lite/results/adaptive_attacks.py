@@ -6,8 +6,8 @@ from pathlib import Path
 
 from detden_lite.attacks.catalogue import CATALOGUE
 from detden_lite.defense.variants import MAIN
-from detden_lite.results import cells, defended_victims, records
-from detden_lite.results.bare_victims import failed
+from detden_lite.results import bare_victims, cells, defended_victims, records
+from detden_lite.results.bare_victims import UNATTACKED, failed
 from detden_lite.results.defended_victims import Share
 from detden_lite.results.records import Record
 from detden_lite.store import manifest
@@ -36,6 +36,26 @@ def load_adaptive(
         ArtifactError: if one of them is altered.
     """
     return records.load_cells(cells.adaptive_cells(defense), task, algo, root)
+
+
+def worst_on_record(
+    task: str, algo: str, defense: str = MAIN, root: Path = manifest.DATA
+) -> tuple[tuple[str, str], Share] | None:
+    """The (attack, timing) that leaves a victim the least with this defence, aware of it or not, and what it leaves.
+
+    None if there is no record of the clean victim, or none of an attack.
+
+    Raises:
+        ArtifactError: if one of the records is altered.
+
+    Example:
+        >>> (attack, timing), share = worst_on_record("hopper", "ppo")
+        >>> attack, timing, share.mean < 0.1
+        ('adaptive-optimal', 'always', True)
+    """
+    clean = bare_victims.load_bare(task, algo, root).get(UNATTACKED)
+    found = defended_victims.load_defended(task, algo, defense, root) | load_adaptive(task, algo, defense, root)
+    return defended_victims.at_worst(found, clean) if clean else None
 
 
 def change(adaptive: Record, plain: Record) -> Share | None:

@@ -10,7 +10,7 @@ from detden_lite.attacks import catalogue
 from detden_lite.core.files import ArtifactError
 from detden_lite.defense.variants import MAIN
 from detden_lite.results import defended_victims
-from detden_lite.results.adaptive_attacks import ADAPTED_ROWS, change, compare, load_adaptive
+from detden_lite.results.adaptive_attacks import ADAPTED_ROWS, change, compare, load_adaptive, worst_on_record
 from detden_lite.results.bare_victims import UNATTACKED
 from detden_lite.store import manifest
 
@@ -50,6 +50,27 @@ def test_an_altered_adaptive_record_is_refused(tmp_path):
     path.write_text(path.read_text().replace("12.0", "99.0"))
     with pytest.raises(ArtifactError, match="truncated or altered"):
         load_adaptive("hopper", "td3", root=tmp_path)
+
+
+def ship_clean(root, returns) -> None:
+    manifest.write_json(root / "results" / "hopper-td3.none.always.none.json", record(returns).to_json(), root)
+
+
+@pytest.mark.parametrize(("aware", "worst"), [(30.0, "adaptive-optimal"), (60.0, "opposite")])
+def test_the_worst_on_record_is_the_lowest_of_both_kinds_of_attacks(tmp_path, aware, worst):
+    assert worst_on_record("hopper", "td3", root=tmp_path) is None
+    ship_clean(tmp_path, [100.0, 100.0])
+    assert worst_on_record("hopper", "td3", root=tmp_path) is None
+    for attack, left in (("none", 10.0), ("opposite", 40.0), ("adaptive-optimal", aware)):
+        ship(tmp_path, attack, [left, left])
+    cell, share = worst_on_record("hopper", "td3", root=tmp_path)
+    assert cell == (worst, "always")
+    assert share.mean == pytest.approx(min(aware, 40.0) / 100)
+
+
+def test_without_the_clean_record_no_worst_part_is_told(tmp_path):
+    ship(tmp_path, "opposite", [40.0, 40.0])
+    assert worst_on_record("hopper", "td3", root=tmp_path) is None
 
 
 def test_a_change_compares_the_means_of_the_same_episodes():
