@@ -51,6 +51,8 @@ _FACE = {
     "attacks.opposite": "OppositeAttack opposite_objective",
     "attacks.qfunction": "QFunctionAttack q_objective",
     "attacks.optimal": "OptimalAttack",
+    "attacks.held": "CornerAttack HeldAttack OffsetAttack",
+    "attacks.director": "DirectorAttack",
     "attacks.enchanting": "EnchantingAttack",
     "attacks.adaptive": "AdaptiveAttack CoupledAttack GradientFreeAttack StealthyAttack",
     "attacks.outcome": "Outcome",

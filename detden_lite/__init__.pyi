@@ -7,8 +7,12 @@ from detden_lite.attacks.adaptive import GradientFreeAttack as GradientFreeAttac
 from detden_lite.attacks.adaptive import StealthyAttack as StealthyAttack
 from detden_lite.attacks.attacked_observations import AttackedObservations as AttackedObservations
 from detden_lite.attacks.catalogue import CATALOGUE as CATALOGUE
+from detden_lite.attacks.director import DirectorAttack as DirectorAttack
 from detden_lite.attacks.enchanting import EnchantingAttack as EnchantingAttack
 from detden_lite.attacks.gradient import GradientAttack as GradientAttack
+from detden_lite.attacks.held import CornerAttack as CornerAttack
+from detden_lite.attacks.held import HeldAttack as HeldAttack
+from detden_lite.attacks.held import OffsetAttack as OffsetAttack
 from detden_lite.attacks.informed import View as View
 from detden_lite.attacks.informed import view_defense as view_defense
 from detden_lite.attacks.noise import GaussianNoise as GaussianNoise

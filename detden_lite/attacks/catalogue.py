@@ -81,11 +81,19 @@ def _planned(threat: Threat, victim: Victim, task: Task) -> dict[str, object]:
     return _ascent(threat, victim, task) | dict(planner=CEMPlanner(task.env_id, **threat.planner))
 
 
-def _learned(name: str) -> Arguments:
+def _learned(kind: str) -> Arguments:
+    return lambda threat, victim, task: dict(adversary=threat.adversary(kind), budget=threat.budget)
+
+
+def _directed(kind: str) -> Arguments:
+    return lambda threat, victim, task: dict(director=threat.adversary(kind), victim=victim, budget=threat.budget)
+
+
+def _held(kind: str) -> Arguments:
     def arguments(threat: Threat, victim: Victim, task: Task) -> dict[str, object]:
-        if name not in threat.adversaries:
-            raise ValueError(f"adversaries: the {name} one is missing; run its stage first, or give one of your own")
-        return dict(adversary=threat.adversaries[name], budget=threat.budget)
+        import torch
+
+        return dict(offset=threat.adversary(kind)(torch.zeros(1, task.obs_dim))[0], budget=threat.budget)
 
     return arguments
 
@@ -93,9 +101,11 @@ def _learned(name: str) -> Arguments:
 _POLICY, _ADVERSARY = frozenset({"policy"}), frozenset({"adversary"})
 _CRITIC, _SIMULATOR = _POLICY | {"critic"}, _POLICY | {"simulator"}
 _OPPOSITE, _OPTIMAL = "opposite.OppositeAttack", "optimal.OptimalAttack"
+_OFFSET, _DIRECTOR = "held.OffsetAttack", "director.DirectorAttack"
 _ENTRIES = [
     AttackEntry("uniform", "uniform noise", "control", "noise.UniformNoise", frozenset(), _ball, "#E69F00"),
     AttackEntry("gaussian", "Gaussian noise", "control", "noise.GaussianNoise", frozenset(), _ball),
+    AttackEntry("corner", "random corner, held", "control", "held.CornerAttack", frozenset(), _ball),
     AttackEntry("fgsm", "FGSM", "control", _OPPOSITE, _POLICY, _one_step),
     AttackEntry("opposite", "opposite", "paper", _OPPOSITE, _POLICY, _ascent, "#D55E00"),
     AttackEntry("qfunction", "Q-function", "paper", "qfunction.QFunctionAttack", _CRITIC, _ascent, "#CC79A7"),
@@ -104,6 +114,8 @@ _ENTRIES = [
         "enchanting", "enchanting", "paper", "enchanting.EnchantingAttack", _SIMULATOR, _planned, "#1a1a1a", slow=True
     ),
     AttackEntry("linear", "linear adversary", "unaware", _OPTIMAL, _ADVERSARY, _learned("linear"), "#767676"),
+    AttackEntry("offset", "held offset", "unaware", _OFFSET, _ADVERSARY, _held("offset")),
+    AttackEntry("director", "director", "unaware", _DIRECTOR, _POLICY | _ADVERSARY, _directed("director")),
 ]
 
 
@@ -130,6 +142,14 @@ _ENTRIES += [
         "adaptive-optimal", "optimal, adaptive", "aware", _OPTIMAL, _ADVERSARY, _learned("adaptive-optimal"),
         slow=True, unaware="optimal",
     ),
+    AttackEntry(
+        "adaptive-offset", "held offset, adaptive", "aware", _OFFSET, _ADVERSARY, _held("adaptive-offset"),
+        unaware="offset",
+    ),
+    AttackEntry(
+        "adaptive-director", "director, adaptive", "aware", _DIRECTOR, _POLICY | _ADVERSARY,
+        _directed("adaptive-director"), unaware="director",
+    ),
     _aware("coupled", "opposite", "drifting", "adaptive.CoupledAttack"),
 ]  # fmt: skip
 CATALOGUE = {entry.name: entry for entry in _ENTRIES}
@@ -142,6 +162,7 @@ def names(*groups: str) -> tuple[str, ...]:
 
 CONTROLS = names("control")
 FOUR = names("paper")
+UNAWARE = names("unaware")
 ATTACKS = names("control", "paper", "unaware")
 ADAPTIVE = names("aware")
 TITLES = {"none": "clean"} | {entry.name: entry.title for entry in _ENTRIES}

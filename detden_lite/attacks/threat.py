@@ -33,7 +33,7 @@ class Threat:
     c_vul: float = -inf  # threshold of the vulnerable timing
     rate: float = 1.0  # of the random timing
     planner: Mapping[str, int] = field(default_factory=dict)  # arguments of ``CEMPlanner``
-    adversaries: Mapping[str, Victim] = field(default_factory=dict)  # "optimal", "linear": ``models.load_adversary``
+    adversaries: Mapping[str, Victim] = field(default_factory=dict)  # by kind, see ``models.load_adversary``
     adaptive: Mapping[str, int] = field(default_factory=dict)  # arguments of ``AdaptiveAttack``, for its variants too
 
     def __post_init__(self) -> None:
@@ -49,6 +49,12 @@ class Threat:
         if name not in CATALOGUE:
             raise ValueError(f"attack must be none or one of {', '.join(CATALOGUE)}, not {name!r}")
         return CATALOGUE[name].make(self, victim, task)
+
+    def adversary(self, kind: str) -> Victim:
+        """The adversary of this kind, or a ValueError that says which is missing."""
+        if kind not in self.adversaries:
+            raise ValueError(f"adversaries: the {kind} one is missing; run its stage first, or give one of your own")
+        return self.adversaries[kind]
 
     def timing(self, name: str, victim: Victim) -> Timing:
         """The timing of this name."""

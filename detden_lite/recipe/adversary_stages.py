@@ -1,20 +1,21 @@
-"""The stages that make a victim's adversaries: train a grid of them, search for a linear one, and choose."""
+"""The stages that make a victim's learned adversaries: train a grid of them, and choose the strongest."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
+from detden_lite.attacks.director import DirectorAttack
 from detden_lite.attacks.optimal import OptimalAttack
 from detden_lite.core.types import Attack, Timing
 from detden_lite.defense.pipeline import DetectAndDenoise
 from detden_lite.defense.variants import MAIN
-from detden_lite.recipe import episode_seeds, linear_search, selection
-from detden_lite.recipe.linear_search import LinearMaps, LinearRecipe
+from detden_lite.recipe import episode_seeds, selection
+from detden_lite.recipe.linear_search import LinearRecipe
 from detden_lite.recipe.run import Run
 from detden_lite.recipe.scales import Scale
 from detden_lite.simulation.rollout import rollout
@@ -45,26 +46,43 @@ def train_member(run: Run[Scale], member: int, defended: bool = False) -> None:
     from stable_baselines3.common.vec_env import VecMonitor
 
     from detden_lite.training.adversary_world import AdversaryEnv
+    from detden_lite.training.warm_start import imitate
 
     grid = run.scale.adversaries
     if not 0 <= member < len(grid):
         raise ValueError(f"member must be between 0 and {len(grid) - 1} at this scale, not {member}")
-    victim, threat = run.victim(), run.threat()
+    victim, threat, recipe = run.victim(), run.threat(), grid[member]
 
     def worlds(n: int) -> VecEnv:
-        timing = threat.timing(grid[member].timing, victim)
+        timing = threat.timing(recipe.timing, victim)
         defense = run.defense(MAIN) if defended else None
-        return VecMonitor(AdversaryEnv(victim, run.task, run.budget, n, timing, defense, run.scale.horizon))
+        director = DirectorAttack(None, victim, run.budget) if recipe.director else None
+        return VecMonitor(
+            AdversaryEnv(
+                victim, run.task, run.budget, n, timing, defense, run.scale.horizon, recipe.history, director
+            )
+        )  # fmt: skip
 
     folder = run.folder / "checkpoints" / f"{_NAMES[defended]}-{member}"
-    about: dict[str, object] = dict(c_vul=threat.c_vul) if grid[member].timing == "vulnerable" else {}
+    known: dict[str, object] = dict(c_vul=threat.c_vul) if recipe.timing == "vulnerable" else {}
     if defended:
-        about |= dict(defense=MAIN, denoiser=manifest.promised(run.folder / f"denoiser-{MAIN}.safetensors", run.root))
-    resumable.train(run.task, grid[member], member, folder, worlds, _about(run) | about)
+        known |= dict(defense=MAIN, denoiser=manifest.promised(run.folder / f"denoiser-{MAIN}.safetensors", run.root))
+    prepare = None
+    if recipe.warm:
+        linear = threat.adversary("linear")
+        known |= dict(linear=tensors.digest(linear.state_dict()))
+        seeds = episode_seeds.seeds("search", 16)
+        seen = rollout(
+            victim, run.task, seeds, attack=OptimalAttack(linear, run.budget), steps=run.scale.horizon
+        )  # fmt: skip
+        prepare = partial(imitate, teacher=linear, obs=seen.obs[seen.mask])
+    resumable.train(run.task, recipe, member, folder, worlds, about(run) | known, prepare=prepare)
 
 
 def choose(run: Run[Scale], defended: bool = False) -> None:
-    """The stage: store the snapshot that leaves the victim the smallest return, attacking always and where vulnerable.
+    """The stage: store the snapshots that leave the victim the smallest return, attacking always and where vulnerable.
+
+    There are two: of those that perturb, among them the linear adversary's, and of the directors.
 
     Args:
         run: where.
@@ -74,35 +92,20 @@ def choose(run: Run[Scale], defended: bool = False) -> None:
         ValueError: if no member was trained.
     """
     folders = sorted((run.folder / "checkpoints").glob(f"{_NAMES[defended]}-*"))
-    kind, defense = ("adaptive-optimal", run.defense(MAIN)) if defended else ("optimal", None)
-    _store(run, kind, AdversaryRecipe, folders, ("always", "vulnerable"), defense)
+    directors = [folder for folder in folders if selection.read_recipe(folder).get("director")]
+    learned: dict[Path, type] = {folder: AdversaryRecipe for folder in folders if folder not in directors}
+    linear = run.folder / "checkpoints" / "linear"
+    if not defended and linear.exists():
+        learned[linear] = LinearRecipe
+    way, defense = ("adaptive-", run.defense(MAIN)) if defended else ("", None)
+    store_best(run, f"{way}optimal", learned, ("always", "vulnerable"), defense)
+    if directors:
+        store_best(
+            run, f"{way}director", dict.fromkeys(directors, AdversaryRecipe), ("always", "vulnerable"), defense
+        )  # fmt: skip
 
 
-def search_linear(run: Run[Scale], seed: int = 0) -> None:
-    """The stage: search for a linear adversary, and store the generation's mean that leaves the smallest return.
-
-    Args:
-        run: where.
-        seed: of the search.
-    """
-    recipe, victim, normal = run.scale.linear, run.victim(), 8
-    clean = rollout(victim, run.task, episode_seeds.seeds("search", normal), steps=run.scale.horizon)
-    played = episode_seeds.seeds("search", normal + recipe.generations * recipe.episodes)[normal:]
-
-    def measure(adversaries: LinearMaps, generation: int) -> torch.Tensor:
-        """All members of the population play the same episodes."""
-        n, k = len(adversaries.maps), recipe.episodes
-        rows = LinearMaps(adversaries.normalizer, adversaries.maps.repeat_interleave(k, 0))
-        episodes = list(played[generation * k : (generation + 1) * k]) * n
-        attacked = rollout(victim, run.task, episodes, attack=OptimalAttack(rows, run.budget), steps=run.scale.horizon)
-        return torch.from_numpy(attacked.returns.reshape(n, k).mean(1))
-
-    folder = run.folder / "checkpoints" / "linear"
-    linear_search.search(recipe, run.task, seed, folder, clean.obs[clean.mask], measure, _about(run))
-    _store(run, "linear", LinearRecipe, [folder], ("always",))
-
-
-def _about(run: Run[Scale]) -> dict[str, object]:
+def about(run: Run[Scale]) -> dict[str, object]:
     """Which victim the adversary learned to harm, and within which ball."""
     victim = manifest.promised(run.folder / "victim.safetensors", run.root)
     return dict(
@@ -110,16 +113,28 @@ def _about(run: Run[Scale]) -> dict[str, object]:
     )
 
 
-def _store(
+def store_best(
     run: Run[Scale],
     kind: str,
-    recipe: type,
-    folders: Iterable[Path],
+    folders: Mapping[Path, type],
     timings: Sequence[str],
     defense: DetectAndDenoise | None = None,
 ) -> None:
-    """Choose by the mean over timings, on episodes that nothing else uses. Records of another adversary are removed."""
-    folders = [folder for folder in folders if any((folder / "snapshots").glob("*.safetensors"))]
+    """Store the adversary with the smallest mean return over timings, on episodes that nothing else uses.
+
+    Records of another adversary of this kind are removed.
+
+    Args:
+        run: where.
+        kind: of the adversary, a key of ``models.ADVERSARIES``.
+        folders: of its trainings, each with the class of its recipe.
+        timings: when it attacks.
+        defense: of the victim.
+
+    Raises:
+        ValueError: if there is no snapshot.
+    """
+    folders = {folder: own for folder, own in folders.items() if any((folder / "snapshots").glob("*.safetensors"))}
     if not folders:
         where = run.folder / "checkpoints"
         raise ValueError(f"{where} holds no snapshot of an adversary; run the adversary stage first")
@@ -133,10 +148,11 @@ def _store(
         ).returns
 
     def mean(adversary: Victim, purpose: str) -> float:
-        attack = OptimalAttack(adversary, run.budget)
+        director = kind.endswith("director")
+        attack = DirectorAttack(adversary, victim, run.budget) if director else OptimalAttack(adversary, run.budget)
         return float(np.mean([play(purpose, attack, threat.timing(name, victim)) for name in timings]))
 
-    chosen = selection.choose(run.task, recipe, folders, mean, sign=-1, n=5)
+    chosen = selection.choose(run.task, folders, mean, sign=-1, n=5)
     sidecar = dict(
         task=run.task.name,
         algo=run.algo,

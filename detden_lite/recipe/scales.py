@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from detden_lite.core.tasks import ALGORITHMS, SCALES, Task
 from detden_lite.defense.training import VAERecipe
 from detden_lite.recipe.linear_search import LinearRecipe
+from detden_lite.recipe.offset_search import OffsetRecipe
 from detden_lite.training.recipes import AdversaryRecipe, PPORecipe, TD3Recipe
 from detden_lite.victims.critic import QRecipe
 
@@ -58,23 +59,28 @@ TINY_PLANNER = dict(horizon=3, population=8, iterations=1, elites=2)
 
 TINY_PLANNERS = (TINY_PLANNER, TINY_PLANNER | dict(horizon=5))
 
-# The grid of the optimal attack. The paper does not say how it was trained; at the paper's scale it is of ATLA's size.
+# The grid of the optimal attack and of the director. The paper does not say how its adversary was trained; at the
+# paper's scale the grid is of ATLA's size.
 LITE_ADVERSARIES = (
-    AdversaryRecipe(timing="always"),
-    AdversaryRecipe(timing="always", learning_rate=3e-3),
+    AdversaryRecipe(),
+    AdversaryRecipe(learning_rate=3e-3),
     AdversaryRecipe(timing="vulnerable"),
+    AdversaryRecipe(history=3),
+    AdversaryRecipe(warm=True, learning_rate=3e-4, log_std=-1.0),
+    AdversaryRecipe(director=True),
+    AdversaryRecipe(director=True, learning_rate=3e-3),
 )
 
-PAPER_ADVERSARIES = tuple(
-    AdversaryRecipe(steps=1_024_000, learning_rate=rate, timing=timing, clip=clip)
+PAPER_ADVERSARIES = LITE_ADVERSARIES + tuple(
+    AdversaryRecipe(learning_rate=rate, timing=timing, clip=clip)
     for rate in (3e-4, 1e-3, 3e-3)
     for timing in ("always", "vulnerable")
     for clip in (0.2, 0.4)
 )
 
 TINY_ADVERSARIES = tuple(
-    AdversaryRecipe(steps=1_024, segment=512, net=32, timing=timing, envs=4, epochs=2)
-    for timing in ("always", "vulnerable")
+    AdversaryRecipe(steps=1_024, segment=512, net=32, envs=4, epochs=2, **kind)
+    for kind in (dict(timing="vulnerable"), dict(history=2), dict(warm=True), dict(director=True))
 )
 
 
@@ -126,6 +132,7 @@ class Scale(DefenseScale):
         planners: of the sweep of planners.
         adversaries: the grid of the optimal attack.
         linear: of the search for the linear adversary.
+        offset: of the search for the held offset.
 
     Example:
         >>> from detden_lite import get_scale, get_task
@@ -144,6 +151,7 @@ class Scale(DefenseScale):
     planners: tuple[Mapping[str, int], ...]
     adversaries: tuple[AdversaryRecipe, ...]
     linear: LinearRecipe
+    offset: OffsetRecipe
 
 
 def defense_scale(name: str, task: Task) -> DefenseScale:
@@ -191,6 +199,7 @@ def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
             planners=TINY_PLANNERS,
             adversaries=TINY_ADVERSARIES,
             linear=LinearRecipe(generations=2, population=8, elites=4, episodes=1),
+            offset=OffsetRecipe(candidates=8, episodes=1, finalists=2, rounds=1),
         )
     return Scale(
         **sizes,
@@ -204,5 +213,6 @@ def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
         planner=PLANNER_OF.get(task.name, PLANNER),
         planners=PLANNERS,
         adversaries=LITE_ADVERSARIES if name == "lite" else PAPER_ADVERSARIES,
-        linear=LinearRecipe(),
+        linear=LinearRecipe(generations=40, population=128, elites=32, episodes=2),
+        offset=OffsetRecipe(),
     )

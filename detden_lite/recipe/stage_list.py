@@ -102,12 +102,16 @@ _STAGES = (
         (Option("--member", 0, text="its place in the grid"), _DEFENDED), _SNAPSHOTS,
     ),
     Stage(
-        "choose", "attack", "choose the adversary that leaves the victim the smallest return",
+        "choose", "attack", "choose the adversary and the director that leave the victim the smallest return",
         "recipe.adversary_stages:choose", dict(choose="rows", choose_defended="adapted"), (_DEFENDED,),
     ),
     Stage(
         "linear", "attack", "search for a linear adversary by the cross-entropy method",
-        "recipe.adversary_stages:search_linear", dict(linear="rows"), keeps="every generation",
+        "recipe.search_stages:search_linear", dict(linear="rows"), keeps="every generation",
+    ),
+    Stage(
+        "offset", "attack", "search for the most harmful offset to hold", "recipe.search_stages:search_offset",
+        dict(offset="rows", offset_defended="adapted"), (_DEFENDED,), "every round",
     ),
     Stage(
         "collect", "defense", "collect D_normal, and held-out episodes for calibration",

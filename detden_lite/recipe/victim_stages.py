@@ -43,7 +43,9 @@ def select_victim(run: Run[Scale]) -> None:
         ).returns
 
     chosen = selection.choose(
-        run.task, type(run.scale.victim), folders, lambda victim, purpose: float(returns(victim, purpose).mean())
+        run.task,
+        dict.fromkeys(folders, type(run.scale.victim)),
+        lambda victim, purpose: float(returns(victim, purpose).mean()),
     )
     reported = returns(chosen.policy, "report")
     sidecar = dict(

@@ -33,9 +33,9 @@ class Cell:
 def table_cells(defenses: Iterable[str] = ("none", MAIN)) -> list[Cell]:
     """The cells of the tables, one defence after the other; "none" is the bare victim.
 
-    The main defence meets all four attacks, the linear adversary and noise; other trained ones those of the four that
-    need no planner; and assembled ones the opposite attack, which the denoiser has seen, and the optimal one, which it
-    has not.
+    The main defence meets all attacks that do not know it, noise and held corners; other trained ones those of the four
+    that need no planner; and assembled ones the opposite attack, which the denoiser has seen, and the optimal one,
+    which it has not.
 
     Example:
         >>> [cell.attack for cell in table_cells(["oracle-detector"])]
@@ -46,13 +46,15 @@ def table_cells(defenses: Iterable[str] = ("none", MAIN)) -> list[Cell]:
     for name in defenses:
         found.append(Cell(defense=name))
         if name == "none":
-            found += [Cell(attack) for attack in (*catalogue.CONTROLS, "linear")]
+            found += [Cell(attack) for attack in (*catalogue.CONTROLS, *catalogue.UNAWARE)]
             found += [Cell(attack, timing) for attack in catalogue.FOUR for timing in both]
             found += [Cell("opposite", "random")]
         elif name in VARIANTS:
             attacks = catalogue.FOUR if name == MAIN else ("opposite", "qfunction", "optimal")
             found += [Cell(attack, timing, name) for attack in attacks for timing in both]
-            found += [Cell(attack, "always", name) for attack in ("linear", "uniform") if name == MAIN]
+            found += [
+                Cell(attack, "always", name) for attack in (*catalogue.UNAWARE, "uniform", "corner") if name == MAIN
+            ]
         else:
             found += [Cell(attack, "always", name) for attack in ("opposite", "optimal")]
     return found

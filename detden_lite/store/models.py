@@ -115,8 +115,16 @@ def _wrong_card(task: str, algo: str, name: str, problem: str, root: Path) -> Ar
     return ArtifactError(f"{root / f'{task}-{algo}' / name}.json is damaged: {problem}; make the model anew")
 
 
-# By kind: learned by reinforcement on the bare victim, a linear map, and learned on the victim with its defence.
-ADVERSARIES = {"optimal": "adversary", "linear": "adversary-linear", "adaptive-optimal": "adversary-adaptive"}
+# By kind, the file: learned by reinforcement, a linear map, a held offset, a director; and on the defended victim.
+ADVERSARIES = {
+    "optimal": "adversary",
+    "linear": "adversary-linear",
+    "offset": "adversary-offset",
+    "director": "director",
+    "adaptive-optimal": "adversary-adaptive",
+    "adaptive-offset": "adversary-adaptive-offset",
+    "adaptive-director": "director-adaptive",
+}
 
 
 def adversary_path(task: str, algo: str, kind: str, root: Path = DATA) -> Path:
@@ -137,6 +145,8 @@ def save_adversary(
 def load_adversary(task: str, algo: str, kind: str = "optimal", root: Path = DATA) -> Victim:
     """A shipped adversary, for ``OptimalAttack``: its actions are perturbations in units of the ball's radius.
 
+    A "director" is for ``DirectorAttack``: its actions are directions of the victim's.
+
     Args:
         task: of the victim that it learned to harm ("hopper").
         algo: that victim's algorithm ("td3").
@@ -152,15 +162,15 @@ def load_adversary(task: str, algo: str, kind: str = "optimal", root: Path = DAT
         >>> adversary.obs_dim, adversary.action_dim
         (11, 11)
     """
-    adversary, _ = _build(_adversary, adversary_path(task, algo, kind, root), root)
-    return adversary
+    director = kind.endswith("director")
 
+    def adversary(card: Mapping[str, Any], state: Mapping[str, Tensor]) -> Victim:
+        found = Victim.from_state(card["config"], state)
+        if not director and found.obs_dim % found.action_dim:  # it sees one observation, or several
+            raise ValueError(f"it maps {found.obs_dim} observations to {found.action_dim} perturbations")
+        return found
 
-def _adversary(card: Mapping[str, Any], state: Mapping[str, Tensor]) -> Victim:
-    adversary = Victim.from_state(card["config"], state)
-    if adversary.obs_dim != adversary.action_dim:
-        raise ValueError(f"it maps {adversary.obs_dim} observations to {adversary.action_dim} perturbations")
-    return adversary
+    return _build(adversary, adversary_path(task, algo, kind, root), root)[0]
 
 
 def _build(make: Callable[[dict[str, Any], dict[str, Tensor]], M], path: Path, root: Path) -> tuple[M, dict[str, Any]]:

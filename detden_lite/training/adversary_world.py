@@ -1,5 +1,7 @@
 """The adversary's world: its action is the perturbation of what a frozen victim sees (section 3.2.1)."""
 
+from functools import partial
+
 import gymnasium
 import numpy as np
 import torch
@@ -9,7 +11,8 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 from torch import Tensor
 
 from detden_lite.attacks.base import check_budget
-from detden_lite.attacks.optimal import perturb
+from detden_lite.attacks.director import DirectorAttack
+from detden_lite.attacks.optimal import History, perturb
 from detden_lite.attacks.timing import Always
 from detden_lite.core.arguments import check_whole
 from detden_lite.core.budget import Budget
@@ -24,9 +27,10 @@ class AdversaryEnv(VecEnv):
     """N worlds in lockstep, with one call of the victim a step for all of them: a ``VecEnv`` of stable-baselines3.
 
     The adversary sees the true observation. Its action in [-1, 1]^obs_dim becomes a perturbation in the ball, and its
-    reward is the victim's, negated. Where the timing says no, the victim sees the truth. A world whose episode has
-    ended begins another one at once, with a seed that no other purpose has (``episode_seeds.SEEDS``). Ending at the
-    time limit is a truncation: the learner bootstraps from the value function there.
+    reward is the victim's, negated. A director's action is a direction in the space of the victim's actions instead.
+    Where the timing says no, the victim sees the truth. A world whose episode has ended begins another one at once,
+    with a seed that no other purpose has (``episode_seeds.SEEDS``). Ending at the time limit is a truncation: the
+    learner bootstraps from the value function there.
 
     Args:
         victim: the policy under attack.
@@ -36,6 +40,8 @@ class AdversaryEnv(VecEnv):
         timing: when to attack; always by default.
         defense: what the victim's observations pass through, if anything; see ``detden_lite.defense``.
         steps: the longest an episode may be; the task's horizon by default.
+        history: how many observations the adversary sees, the newest first; see ``OptimalAttack``.
+        director: the attack that a director is trained for; None for an adversary who perturbs.
 
     Raises:
         ValueError: if a number is not in its range, or a part is of another kind or of another task.
@@ -52,17 +58,20 @@ class AdversaryEnv(VecEnv):
 
     def __init__(
         self, victim: Victim, task: Task, budget: Budget, n: int, timing: Timing | None = None,
-        defense: Defense | None = None, steps: int | None = None,
+        defense: Defense | None = None, steps: int | None = None, history: int = 1,
+        director: DirectorAttack | None = None,
     ) -> None:  # fmt: skip
-        check_whole(1, n=n)
+        check_whole(1, n=n, history=history)
         check_horizon(steps)
         check_guests(None, timing, defense)
         check_budget(budget, task.obs_dim)
         task.check_fits(victim.obs_dim, victim.action_dim)
         self.victim, self.budget, self.timing, self.defense = victim, budget, timing or Always(), defense
         self.simulator, self.horizon = make_simulator(task.env_id, range(n)), steps or task.horizon
-        everything = Box(-np.inf, np.inf, (task.obs_dim,), np.float32)
-        super().__init__(n, everything, Box(-1.0, 1.0, (task.obs_dim,), np.float32))
+        self.history, self.director = History(history), director
+        everything = Box(-np.inf, np.inf, (history * task.obs_dim,), np.float32)
+        actions = task.action_dim if director else task.obs_dim
+        super().__init__(n, everything, Box(-1.0, 1.0, (actions,), np.float32))
         self.seed(0)
 
     def seed(self, seed: int | None = None) -> list[int | None]:
@@ -74,15 +83,16 @@ class AdversaryEnv(VecEnv):
         return int(self.generator.integers(2**32, 2**63))
 
     def reset(self) -> np.ndarray:
-        """Begin an episode in every world. Returns the true observations ``[N, obs_dim]``."""
+        """Begin an episode in every world. Returns the true observations ``[N, history * obs_dim]``."""
         self.simulator.seeds = [self._fresh_seed() for _ in range(self.num_envs)]
-        for part in (self.timing, self.defense):
+        for part in (self.timing, self.defense, self.director):
             if part is not None:
                 part.reset(self.simulator.seeds)
+        self.history.reset()
         self.age = np.zeros(self.num_envs, dtype=int)
         self.obs = self.simulator.reset()
         self.action: Tensor | None = None  # the victim's, one step before
-        return self.obs
+        return self.history.push(torch.from_numpy(self.obs)).numpy()
 
     def step_async(self, actions: np.ndarray) -> None:
         self.actions = torch.from_numpy(np.asarray(actions, dtype=np.float32))
@@ -92,14 +102,15 @@ class AdversaryEnv(VecEnv):
         """One step of every world.
 
         Returns:
-            True observations ``[N, obs_dim]``, those of the next episode where one has ended; the victim's rewards,
+            True observations ``[N, history * obs_dim]``, of the next episode where one has ended; the victim's rewards,
             negated, ``[N]``; whether the episode has ended ``[N]``; and the infos that stable-baselines3 expects.
 
         Raises:
             ValueError: if an action of the victim is not finite.
         """
         true = torch.from_numpy(self.obs)
-        shown = torch.where(self.timing(true)[:, None], perturb(self.budget, true, self.actions), true)
+        follow = self.director.follow if self.director else partial(perturb, self.budget)
+        shown = torch.where(self.timing(true)[:, None], follow(true, self.actions), true)
         if self.defense is not None:
             shown = self.defense(shown, self.action).obs
         self.action = action = self.victim(shown)
@@ -109,11 +120,13 @@ class AdversaryEnv(VecEnv):
         self.age += 1
         done = ended | (self.age >= self.horizon)
         infos: list[dict] = [{} for _ in done]
+        seen = self.history.push(torch.from_numpy(obs))
         for i in np.flatnonzero(done):
-            infos[i] = {"terminal_observation": obs[i].copy(), "TimeLimit.truncated": not ended[i]}
+            infos[i] = {"terminal_observation": seen[i].numpy().copy(), "TimeLimit.truncated": not ended[i]}
             obs[i] = self._begin(int(i), action)
+            self.history.restart(int(i), torch.from_numpy(obs[i]))
         self.obs = obs
-        return obs, -reward, done, infos
+        return seen.numpy().copy(), -reward, done, infos
 
     def _begin(self, i: int, action: Tensor) -> np.ndarray:
         """Begin a new episode in one world; the others go on. Its row of ``action`` becomes NaN."""

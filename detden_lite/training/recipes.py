@@ -183,30 +183,44 @@ class PPORecipe:
 class AdversaryRecipe(PPORecipe):
     """Hyperparameters of PPO for an adversary, who sees the true observation and perturbs it.
 
+    Args:
+        entropy: weight of the entropy bonus.
+        timing: when they may attack: "always" or "vulnerable".
+        history: how many observations they see: the last ones.
+        warm: whether they begin as a copy of the linear adversary.
+        director: whether they choose a direction of the action instead of a perturbation; see ``DirectorAttack``.
+
     Example:
         >>> from detden_lite import get_task
-        >>> AdversaryRecipe(timing="vulnerable").config(get_task("hopper"))["actor"]
-        [11, 64, 64, 11]
+        >>> AdversaryRecipe(history=3).config(get_task("hopper"))["actor"]
+        [33, 64, 64, 11]
     """
 
-    steps: int = 204_800
-    segment: int = 20_480
+    steps: int = 1_024_000
+    segment: int = 102_400
     learning_rate: float = 1e-3
     envs: int = 32
     rollout: int = 64
     batch: int = 128
-    entropy: float = 0.003  # weight of the entropy bonus
-    timing: str = "always"  # when they may attack: "always" or "vulnerable"
+    entropy: float = 0.003
+    timing: str = "always"
+    history: int = 1
+    warm: bool = False
+    director: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_between(0, inf, entropy=self.entropy)
+        check_whole(1, history=self.history)
         if self.timing not in ("always", "vulnerable"):
             raise ValueError(f"timing must be always or vulnerable, not {self.timing!r}")
+        if self.director and (self.warm or self.history > 1):
+            raise ValueError("director: it sees one observation, and no linear map can be its beginning")
 
     def config(self, task: Task) -> dict[str, Any]:
-        """The arguments of the ``Victim`` that the adversary is: its actions are perturbations."""
-        return super().config(replace(task, action_dim=task.obs_dim))
+        """The arguments of the ``Victim`` that the adversary is: its actions are perturbations, or directions."""
+        actions = task.action_dim if self.director else task.obs_dim
+        return super().config(replace(task, obs_dim=self.history * task.obs_dim, action_dim=actions))
 
     def start(self, worlds: Worlds, seed: int) -> "PPO":
         """A new model, untrained."""

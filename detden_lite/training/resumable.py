@@ -6,7 +6,7 @@ The algorithms are stable-baselines3's in JAX, from sbx-rl.
 import json
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ XLA_FLAGS = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
 def train(
     task: Task, recipe: TD3Recipe | PPORecipe, seed: int, folder: Path, worlds: Worlds,
     about: Mapping[str, object] | None = None, checkpoint_seconds: float = 600,
+    prepare: Callable[[Any], None] | None = None,
 ) -> list[Path]:  # fmt: skip
     """Train, or go on training, and return the snapshots: one policy a segment, ``folder/snapshots/*.safetensors``.
 
@@ -39,6 +40,7 @@ def train(
         worlds: ``worlds(n)`` makes n worlds to train in.
         about: what else the snapshots of this folder have in common, ready for JSON.
         checkpoint_seconds: see below.
+        prepare: what is done to a new model before its first segment.
 
     The checkpoint in ``folder/checkpoint`` is replaced after a segment when the last one is older than
     ``checkpoint_seconds``, and at the end; a kill loses what was trained since.
@@ -55,6 +57,8 @@ def train(
     snapshots.mkdir(exist_ok=True)
     model: Any = recipe.start(worlds, seed)  # of the recipe's own kind
     done = checkpoints.load(model, checkpoint)
+    if prepare is not None and not done:
+        prepare(model)
 
     segments, saved = recipe.steps // recipe.segment, time.monotonic()
     label = f"{type(model).__name__} {task.name} seed {seed}"

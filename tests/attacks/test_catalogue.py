@@ -20,7 +20,9 @@ EPISODES = [4, 5, 6]
 
 def make_threat() -> Threat:
     torch.manual_seed(0)
-    adversaries = {name: Victim([11, 11], gaussian=True) for name in ("optimal", "linear", "adaptive-optimal")}
+    kinds = ("optimal", "linear", "offset", "adaptive-optimal", "adaptive-offset")
+    adversaries = {kind: Victim([11, 11], gaussian=True) for kind in kinds}
+    adversaries |= {kind: Victim([11, 3], gaussian=True) for kind in ("director", "adaptive-director")}
     planner = dict(horizon=3, population=4, iterations=1, elites=2)
     return Threat(
         BUDGET, 2, planner=planner, adversaries=adversaries, adaptive=dict(steps=2, restarts=1, samples=2, fresh=2)

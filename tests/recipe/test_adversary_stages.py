@@ -3,9 +3,10 @@ import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
-from builders import BUDGET, HOPPER, make_gruvae, make_victim
+from builders import BUDGET, HOPPER, make_gruvae, make_victim, normal
 from safetensors.torch import load_file, save_file
 from stable_baselines3.common.vec_env import VecMonitor
 
@@ -14,7 +15,7 @@ from detden_lite.attacks.optimal import OptimalAttack
 from detden_lite.attacks.timing import Vulnerable
 from detden_lite.core import files
 from detden_lite.defense.variants import MAIN
-from detden_lite.recipe import adversary_stages, episode_seeds, evaluation
+from detden_lite.recipe import adversary_stages, episode_seeds, evaluation, search_stages
 from detden_lite.recipe.run import Run
 from detden_lite.simulation.rollout import rollout
 from detden_lite.store import manifest, models, tensors
@@ -152,19 +153,38 @@ def test_a_bad_snapshot_is_refused(run, harm):
 
 def test_a_member_outside_the_grid_is_refused(tmp_path):
     """Before anything is loaded: this run has no victim."""
-    for member in (-1, 2):
-        with pytest.raises(ValueError, match=f"member must be between 0 and 1 at this scale, not {member}"):
+    for member in (-1, 4):
+        with pytest.raises(ValueError, match=f"member must be between 0 and 3 at this scale, not {member}"):
             adversary_stages.train_member(Run.of(tmp_path, "hopper", "td3", "tiny"), member)
 
 
 def test_a_member_is_trained_on_the_victim_of_the_run(run):
-    adversary_stages.train_member(run, 1)
-    recipe = json.loads((run.folder / "checkpoints" / "adversary-1" / "recipe.json").read_text())
+    adversary_stages.train_member(run, 0)
+    recipe = json.loads((run.folder / "checkpoints" / "adversary-0" / "recipe.json").read_text())
     promised = manifest.promised(run.folder / "victim.safetensors", run.root)
-    about = dict(task="hopper", algo="td3", seed=1, victim=promised, epsilon=0.075, norm="inf", horizon=50)
-    assert recipe == about | dict(c_vul=C_VUL) | asdict(run.scale.adversaries[1])
-    assert [member.timing for member in run.scale.adversaries] == ["always", "vulnerable"]
-    assert len(contents(run.folder / "checkpoints" / "adversary-1")) == 2
+    about = dict(task="hopper", algo="td3", seed=0, victim=promised, epsilon=0.075, norm="inf", horizon=50)
+    assert run.scale.adversaries[0].timing == "vulnerable"
+    assert recipe == about | dict(c_vul=C_VUL) | asdict(run.scale.adversaries[0])
+    assert len(contents(run.folder / "checkpoints" / "adversary-0")) == 2
+
+
+def test_every_kind_of_member_is_trained_and_the_best_of_each_kind_is_stored(run):
+    with pytest.raises(ValueError, match="the linear one is missing"):
+        adversary_stages.train_member(run, 2)  # it begins as a copy of the linear one
+    search_stages.search_linear(run)
+    for member in range(4):
+        adversary_stages.train_member(run, member)
+    adversary_stages.choose(run)
+    card, director = (manifest.read_json(run.folder / f"{name}.json", run.root) for name in ("adversary", "director"))
+    assert len(card["learning_curves"]) == 3 + 1 and len(director["learning_curves"]) == 1
+    assert all(isinstance(curve["selection"], float) for curve in card["learning_curves"])
+    assert card["selection_mean"] == min(curve["selection"] for curve in card["learning_curves"])
+    assert director["config"]["actor"] == [11, 32, 32, 3] and director["recipe"]["director"]
+    threat = run.threat()
+    for name in ("optimal", "director"):
+        attack = threat.attack(name, run.victim(), HOPPER)
+        episodes = rollout(run.victim(), HOPPER, range(2), attack=attack, steps=5)
+        assert (episodes.perturbed != episodes.obs).any()
 
 
 def test_an_adaptive_adversary_is_trained_chosen_and_evaluated(run):
@@ -172,6 +192,8 @@ def test_an_adaptive_adversary_is_trained_chosen_and_evaluated(run):
     for name, model in ((f"denoiser-{MAIN}", make_gruvae(seed=1, residual=True)), ("detector-diverse", make_gruvae())):
         models.save_model("hopper", "td3", name, model, dict(data="diverse", threshold=1.5), run.root)
     adversary_stages.train_member(run, 0, defended=True)
+    adversary_stages.train_member(run, 3, defended=True)
+    search_stages.search_offset(run, defended=True)
     folder = run.folder / "checkpoints" / "defended-adversary-0"
     recipe = json.loads((folder / "recipe.json").read_text())
     assert recipe["defense"] == MAIN
@@ -196,12 +218,26 @@ def test_an_adaptive_adversary_is_trained_chosen_and_evaluated(run):
 
 
 def test_a_linear_adversary_is_searched_and_stored(run):
-    adversary_stages.search_linear(run)
+    search_stages.search_linear(run)
     shipped = models.load_adversary("hopper", "td3", "linear", run.root)
     assert shipped.config["actor"] == [11, 11] and (shipped.obs_std != 1).any()
     card = manifest.read_json(run.folder / "adversary-linear.json", run.root)
     assert card["step"] in (1, 2) and card["recipe"]["population"] == 8
     before = (run.folder / "adversary-linear.safetensors").read_bytes()
     shutil.rmtree(run.folder / "checkpoints")
-    adversary_stages.search_linear(run)
+    search_stages.search_linear(run)
     assert (run.folder / "adversary-linear.safetensors").read_bytes() == before
+
+
+def test_an_offset_is_searched_and_stored_as_an_adversary_that_ignores_what_it_sees(run):
+    search_stages.search_offset(run)
+    shipped = models.load_adversary("hopper", "td3", "offset", run.root)
+    assert (shipped(normal(3, 11)) == shipped(normal(3, 11, seed=1))).all()
+    attack = run.threat().attack("offset", run.victim(), HOPPER)
+    episodes = rollout(run.victim(), HOPPER, range(3), attack=attack, steps=5)
+    moved = (episodes.perturbed - episodes.obs)[episodes.mask]
+    assert np.allclose(np.abs(moved), 0.075, atol=1e-5) and np.ptp(moved, axis=0).max() < 1e-5
+    before = (run.folder / "adversary-offset.safetensors").read_bytes()
+    shutil.rmtree(run.folder / "checkpoints")
+    search_stages.search_offset(run)
+    assert (run.folder / "adversary-offset.safetensors").read_bytes() == before

@@ -337,7 +337,7 @@ def test_a_model_that_is_no_adversary_is_refused(tmp_path):
     models.save_adversary("hopper", "td3", "optimal", make_victim(), {}, tmp_path)
     with pytest.raises(ArtifactError, match="adversary.safetensors does not fit .*11 observations to 3 perturbations"):
         models.load_adversary("hopper", "td3", "optimal", tmp_path)
-    with pytest.raises(ValueError, match="kind must be one of optimal, linear, adaptive-optimal, not 'best'"):
+    with pytest.raises(ValueError, match="kind must be one of optimal, linear, offset, director, .*, not 'best'"):
         models.load_adversary("hopper", "td3", "best", tmp_path)
 
 

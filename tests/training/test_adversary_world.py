@@ -3,10 +3,13 @@ import pytest
 import torch
 from builders import BUDGET, HOPPER, make_defense, make_victim
 
+from detden_lite.attacks.director import DirectorAttack
+from detden_lite.attacks.optimal import OptimalAttack
 from detden_lite.attacks.timing import Random, Vulnerable
 from detden_lite.recipe.episode_seeds import SEEDS
 from detden_lite.simulation.rollout import rollout
 from detden_lite.training.adversary_world import AdversaryEnv
+from detden_lite.victims.victim import Victim
 
 N, STEPS = 3, 40
 
@@ -151,3 +154,44 @@ def test_the_interface_of_stable_baselines3_works():
     env.reset()
     assert [len(state) for state in env.env_method("state_vector")] == [12] * N
     env.close()
+
+
+def compare(env: AdversaryEnv, adversary: Victim, attack, steps: int = 15) -> None:
+    """An adversary acts in the environment as the attack does that plays it in a rollout."""
+    obs, seeds = env.reset(), list(env.simulator.seeds)
+    rewards, going = [], np.ones(N, dtype=bool)
+    for _ in range(steps):
+        obs, reward, done, _ = env.step(adversary(torch.from_numpy(obs)).numpy())
+        rewards.append(np.where(going, reward, 0.0))
+        going &= ~done
+    episodes = rollout(env.victim, HOPPER, seeds, attack=attack, steps=steps)
+    assert np.allclose(-np.stack(rewards)[: len(episodes.reward)], episodes.reward * episodes.mask, atol=1e-4)
+    assert (episodes.perturbed != episodes.obs).any()
+
+
+def test_an_adversary_with_a_history_sees_in_training_what_it_sees_later():
+    torch.manual_seed(3)
+    adversary, (env, *_) = Victim([33, 16, 11], gaussian=True), make(history=3)
+    assert env.observation_space.shape == (33,) and env.action_space.shape == (11,)
+    compare(env, adversary, OptimalAttack(adversary, BUDGET))
+
+
+def test_a_director_moves_the_policy_in_training_as_it_does_later():
+    torch.manual_seed(3)
+    victim, director = make_victim(seed=8), Victim([11, 16, 3], gaussian=True)
+    env = AdversaryEnv(victim, HOPPER, BUDGET, N, director=DirectorAttack(None, victim, BUDGET))
+    assert env.action_space.shape == (3,)
+    compare(env, director, DirectorAttack(director, victim, BUDGET))
+
+
+def test_a_new_episode_knows_nothing_of_the_last_one():
+    env, *_ = make(history=2, steps=5)
+    obs = env.reset()
+    assert np.array_equal(obs[:, :11], obs[:, 11:])
+    for _ in range(5):
+        before = obs
+        obs, _, done, infos = env.step(np.zeros((N, 11), np.float32))
+    assert done.all() and np.array_equal(obs[:, :11], obs[:, 11:])
+    for i, info in enumerate(infos):
+        assert np.array_equal(info["terminal_observation"][11:], before[i, :11])
+        assert not np.array_equal(info["terminal_observation"][:11], obs[i, :11])
