@@ -89,8 +89,8 @@ _FACE = {
 # Modules that are offered whole, since their names are short and belong together.
 _MODULES = (
     "attacks.catalogue", "recipe.sanity", "theory.bound", "results.adaptive_attacks", "results.bare_victims",
-    "results.defended_victims", "results.paper", "results.published", "results.victim_cards", "looking.figures",
-    "looking.films", "defense.variants", "recipe.bound_along_training", "recipe.latent_noise",
+    "results.defended_victims", "results.paper", "results.published", "results.strength", "results.victim_cards",
+    "looking.figures", "looking.films", "defense.variants", "recipe.bound_along_training", "recipe.latent_noise",
 )  # fmt: skip
 _HOME = {name: module for module, names in _FACE.items() for name in names.split()}
 _WHOLE = {module.rpartition(".")[2]: module for module in _MODULES}

@@ -113,6 +113,7 @@ from detden_lite.results import bare_victims as bare_victims
 from detden_lite.results import defended_victims as defended_victims
 from detden_lite.results import paper as paper
 from detden_lite.results import published as published
+from detden_lite.results import strength as strength
 from detden_lite.results import victim_cards as victim_cards
 from detden_lite.results.bare_victims import UNATTACKED as UNATTACKED
 from detden_lite.results.cells import Cell as Cell

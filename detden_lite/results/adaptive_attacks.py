@@ -41,14 +41,24 @@ def load_adaptive(
 def worst_on_record(
     task: str, algo: str, defense: str = MAIN, root: Path = manifest.DATA
 ) -> tuple[tuple[str, str], Share] | None:
-    """The (attack, timing) that leaves a victim the least with this defence, aware of it or not, and what it leaves.
+    """The (attack, timing) of the whole suite that leaves a victim the least, and the part of its clean return.
+
+    With a defence the suite has the attacks that know it as well; noise and other controls always belong to it.
 
     None if there is no record of the clean victim, or none of an attack.
+
+    Args:
+        task: "hopper".
+        algo: "td3" or "ppo".
+        defense: the name of a shipped one; "none" for the bare victim.
+        root: as data/ is laid out.
 
     Raises:
         ArtifactError: if one of the records is altered.
 
     Example:
+        >>> worst_on_record("hopper", "ppo", "none")[0]
+        ('optimal', 'always')
         >>> cell, share = worst_on_record("hopper", "ppo")
         >>> cell
         ('adaptive-optimal', 'always')

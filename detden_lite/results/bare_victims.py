@@ -1,6 +1,5 @@
 """Returns of the undefended victims under each attack: the result records, beside the paper's own numbers."""
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -26,26 +25,14 @@ def load_bare(task: str, algo: str, root: Path = manifest.DATA) -> dict[tuple[st
 
     Example:
         >>> records = load_bare("hopper", "td3")
-        >>> strongest(records)
-        ('linear', 'always')
         >>> round(share(records["linear", "always"], records[UNATTACKED]), 2)
         0.0
     """
     return records.load_cells(cells.table_cells(("none",)), task, algo, root)
 
 
-def strongest(records: Mapping[tuple[str, str], Record]) -> tuple[str, str] | None:
-    """The (attack, timing) that leaves the smallest mean return, random timings aside; None if there is no attack."""
-    means = {
-        (attack, timing): record.estimate.mean
-        for (attack, timing), record in records.items()
-        if attack in COMPARED and timing != "random"
-    }
-    return min(means, key=means.__getitem__) if means else None
-
-
-def difference(one: Record, other: Record) -> Estimate:
-    """How much more return a record has than another, episode by episode: of those that both have.
+def gaps(one: Record, other: Record) -> np.ndarray:
+    """How much more return a record has than another, ``[N]``, in each of the episodes that both have.
 
     Raises:
         ValueError: if the two do not begin with the same episode.
@@ -53,7 +40,16 @@ def difference(one: Record, other: Record) -> Estimate:
     if one.seeds[0] != other.seeds[0]:
         raise ValueError(f"the records are of other episodes, from seeds {one.seeds[0]} and {other.seeds[0]} on")
     n = min(len(one.returns), len(other.returns))
-    return estimate(np.subtract(one.returns[:n], other.returns[:n]))
+    return np.subtract(one.returns[:n], other.returns[:n])
+
+
+def difference(one: Record, other: Record) -> Estimate:
+    """The mean of the ``gaps``, with its interval.
+
+    Raises:
+        ValueError: if the two do not begin with the same episode.
+    """
+    return estimate(gaps(one, other))
 
 
 def failed(adaptive: Record, plain: Record) -> bool:

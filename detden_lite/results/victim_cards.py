@@ -9,6 +9,8 @@ import numpy as np
 from detden_lite.core import files
 from detden_lite.core.estimates import Estimate
 from detden_lite.core.tasks import Task, get_task
+from detden_lite.results import records
+from detden_lite.results.cells import Cell
 from detden_lite.results.paper import ROWS
 from detden_lite.store import manifest
 
@@ -40,8 +42,9 @@ class VictimCard:
 
     task: Task
     algo: str
-    returns: np.ndarray  # of the report episodes
-    estimate: Estimate
+    returns: np.ndarray  # of the report episodes, from the clean record if there is one
+    estimate: Estimate  # of these
+    first_returns: np.ndarray  # of the same episodes, when it was chosen: perhaps on another processor
     curves: tuple[LearningCurve, ...]  # of every seed that was trained
     seed: int  # the chosen snapshot's
     step: int  # the chosen snapshot's, environment steps
@@ -75,18 +78,23 @@ def title(task: str, algo: str) -> str:
 def load_card(task: str, algo: str, root: Path = manifest.DATA) -> VictimCard:
     """The card of a shipped victim.
 
+    Its returns are those of the clean record, with which the records of the attacks are compared: the same episodes on
+    another processor may have others.
+
     Raises:
         ArtifactError: if it is not shipped, altered, or lacks an entry.
     """
     path = root / f"{task}-{algo}" / "victim.json"
     about, critic = manifest.read_json(path, root), path.with_name("critic.json")
+    record = next(iter(records.load_cells([Cell()], task, algo, root).values()), None)
     try:
         recipe = {key: value for key, value in about["recipe"].items() if key not in ("task", "seed")}
         return VictimCard(
             task=get_task(task),
             algo=algo,
-            returns=np.array(about["returns"]),
-            estimate=Estimate(**about["estimate"]),
+            returns=np.array(record.returns if record else about["returns"]),
+            estimate=record.estimate if record else Estimate(**about["estimate"]),
+            first_returns=np.array(about["returns"]),
             curves=tuple(
                 LearningCurve(curve["seed"], np.array(curve["steps"]), np.array(curve["mean"]))
                 for curve in about["learning_curves"]

@@ -9,7 +9,8 @@ from detden_lite.attacks.threat import Threat
 from detden_lite.core.files import ArtifactError
 from detden_lite.recipe.episode_seeds import SEEDS
 from detden_lite.recipe.evaluation import run_cell
-from detden_lite.results.bare_victims import CELLS, UNATTACKED, difference, failed, load_bare, share, strikes, strongest
+from detden_lite.results.adaptive_attacks import worst_on_record
+from detden_lite.results.bare_victims import CELLS, UNATTACKED, difference, failed, load_bare, share, strikes
 from detden_lite.results.cells import Cell
 from detden_lite.results.paper import ATTACKED, ROWS
 from detden_lite.results.paper import CLEAN as PAPER_CLEAN
@@ -48,12 +49,13 @@ def test_an_altered_record_is_refused(tmp_path):
         load_bare("hopper", "td3", tmp_path)
 
 
-def test_the_strongest_attack_is_neither_noise_nor_randomly_timed(tmp_path):
-    ship(tmp_path, none_always=[10, 12], uniform_always=[0, 0], opposite_random=[0, 0])
-    assert strongest(load_bare("hopper", "td3", tmp_path)) is None
-    ship(tmp_path, opposite_always=[4, 4], qfunction_vulnerable=[3, 4])
+def test_the_worst_is_of_the_whole_suite_noise_and_random_timings_included(tmp_path):
+    ship(tmp_path, none_always=[10, 12], opposite_always=[4, 4], qfunction_vulnerable=[3, 4])
     records = load_bare("hopper", "td3", tmp_path)
-    assert strongest(records) == ("qfunction", "vulnerable")
+    for worst, left in (("qfunction_vulnerable", 3.5), ("opposite_random", 3), ("uniform_always", 1)):
+        ship(tmp_path, **{worst: [left, left]})
+        cell, part = worst_on_record("hopper", "td3", "none", tmp_path)
+        assert cell == tuple(worst.split("_")) and part.mean == pytest.approx(left / 11)
     assert share(records["qfunction", "vulnerable"], records[UNATTACKED]) == pytest.approx(3.5 / 11)
 
 

@@ -1,7 +1,9 @@
 import csv
 import shutil
 
+import numpy as np
 import pytest
+from builders import record
 
 from detden_lite.core.files import ArtifactError
 from detden_lite.results import records, table
@@ -18,15 +20,25 @@ def test_the_table_has_a_line_for_each_record(tmp_path):
         }
     assert set(lines) == {path.stem for path in (DATA / "results").glob("*.json")}
     for name, line in lines.items():
-        record = records.load_record(name)
-        assert float(line["mean"]) == record["estimate"]["mean"] and int(line["n"]) == len(record["returns"])
+        found = records.load_record(name)
+        for stronger in line["beaten_by"].split():
+            assert ".".join([line["row"], stronger, line["timing"], line["defense"]]) in lines
+        assert float(line["mean"]) == found["estimate"]["mean"] and int(line["n"]) == len(found["returns"])
         for column, value in (
-            ("accuracy", record["detector"]["accuracy"]), ("f1", record["detector"]["f1"]),
-            ("mae", record["denoiser_mae"]), ("attack_rate", record["attack_rate"]), ("auroc", record.get("auroc")),
-            ("auroc_clean", record.get("auroc_clean")), ("mae_live", record.get("denoiser_mae_live")),
-            ("delay", (record.get("delay") or {}).get("mean")), ("missed", (record.get("delay") or {}).get("missed")),
+            ("accuracy", found["detector"]["accuracy"]), ("f1", found["detector"]["f1"]),
+            ("mae", found["denoiser_mae"]), ("attack_rate", found["attack_rate"]), ("auroc", found.get("auroc")),
+            ("auroc_clean", found.get("auroc_clean")), ("mae_live", found.get("denoiser_mae_live")),
+            ("delay", (found.get("delay") or {}).get("mean")), ("missed", (found.get("delay") or {}).get("missed")),
         ):  # fmt: skip
             assert line[column] == ("" if value is None else str(value)), (name, column)
+
+
+def test_the_table_says_which_attacks_have_failed(tmp_path):
+    for attack, left in (("none", 9.0), ("uniform", 4.0), ("opposite", 6.0), ("qfunction", 2.0)):
+        found = record(np.linspace(left, left + 1, 30), cell=dict(attack=attack, timing="always", defense="none"))
+        manifest.write_json(tmp_path / "results" / f"hopper-td3.{attack}.always.none.json", found.to_json(), tmp_path)
+    beaten = {line["attack"]: line["beaten_by"] for line in table.collect_records(tmp_path)}
+    assert beaten == dict(none="", uniform="", opposite="uniform", qfunction="")
 
 
 def test_a_table_without_records_is_refused(tmp_path):

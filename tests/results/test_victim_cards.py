@@ -7,7 +7,7 @@ import imageio_ffmpeg
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from builders import HOPPER, run_with_gl, ship_victim
+from builders import HOPPER, record, run_with_gl, ship_victim
 
 from detden_lite.core import files
 from detden_lite.core.estimates import estimate
@@ -15,6 +15,7 @@ from detden_lite.core.tasks import TASKS
 from detden_lite.looking import figures
 from detden_lite.recipe import publish
 from detden_lite.recipe.run import Run
+from detden_lite.results.bare_victims import UNATTACKED, load_bare
 from detden_lite.results.paper import CLEAN, ROWS
 from detden_lite.results.published import PUBLISHED
 from detden_lite.results.victim_cards import live, load_card, load_cards
@@ -47,6 +48,16 @@ def test_a_card_says_what_the_sidecar_says(tmp_path):
     assert [(curve.seed, list(curve.mean)) for curve in card.curves] == [(0, [1.0, 9.0]), (1, [2.0, 8.0, 4.0])]
     assert card.recipe == dict(net=16) and card.config["actor"] == [11, 16, 3] and "torch" in card.versions
     assert card.fit is None
+
+
+def test_a_card_shows_the_returns_of_the_clean_record(tmp_path):
+    """Else one page would have the returns of one processor, and another page those of another."""
+    ship_victim(tmp_path)
+    clean = record([7.0, 9.0])
+    manifest.write_json(tmp_path / "results" / "hopper-td3.none.always.none.json", clean.to_json(), tmp_path)
+    card = load_card("hopper", "td3", tmp_path)
+    assert list(card.returns) == [7.0, 9.0] and card.estimate == clean.estimate
+    assert list(card.first_returns) == list(range(10))
 
 
 def test_a_card_has_the_fit_of_the_learned_critic(tmp_path):
@@ -96,6 +107,8 @@ def test_the_shipped_cards_load():
         chosen = next(curve for curve in card.curves if curve.seed == card.seed)
         assert card.step in chosen.steps
         assert (card.fit is None) == (algo == "td3")
+        if (task, algo) in ROWS:
+            assert card.estimate == load_bare(task, algo)[UNATTACKED].estimate
 
 
 def test_learning_curves_mark_the_snapshot_and_the_papers_return(tmp_path):
