@@ -101,7 +101,11 @@ class Run(Generic[Sizes]):
             for kind in models.ADVERSARIES
             if models.adversary_path(*row, kind, self.root).exists()
         }
-        return replace(self.untimed_threat, c_vul=tuned["c_vul"], rate=tuned["attack_rate"], adversaries=adversaries)
+        third = tuned.get("third", {})  # which older files lack
+        return replace(
+            self.untimed_threat, c_vul=tuned["c_vul"], rate=tuned["attack_rate"], c_third=third.get("c_vul"),
+            rate_third=third.get("attack_rate"), adversaries=adversaries,
+        )  # fmt: skip
 
     @property
     def untimed_threat(self: "Run[Scale]") -> Threat:

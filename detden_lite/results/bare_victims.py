@@ -39,7 +39,7 @@ def strongest(records: Mapping[tuple[str, str], Record]) -> tuple[str, str] | No
     means = {
         (attack, timing): record.estimate.mean
         for (attack, timing), record in records.items()
-        if attack in COMPARED and timing != "random"
+        if attack in COMPARED and not timing.startswith("random")
     }
     return min(means, key=means.__getitem__) if means else None
 

@@ -33,25 +33,25 @@ class Cell:
 def table_cells(defenses: Iterable[str] = ("none", MAIN)) -> list[Cell]:
     """The cells of the tables, one defence after the other; "none" is the bare victim.
 
-    The main defence meets all four attacks, the linear adversary and noise; other trained ones those of the four that
-    need no planner; and assembled ones the opposite attack, which the denoiser has seen, and the optimal one, which it
-    has not.
+    The bare victim and the main defence meet all four attacks at every timing, the linear adversary and noise; other
+    trained ones those of the four that need no planner; and assembled ones the opposite attack, which the denoiser has
+    seen, and the optimal one, which it has not. The random timings are controls, of the bare victim alone.
 
     Example:
         >>> [cell.attack for cell in table_cells(["oracle-detector"])]
         ['none', 'opposite', 'optimal']
     """
-    both = ("always", "vulnerable")
+    both, three = ("always", "vulnerable"), ("always", "vulnerable", "third")
     found = []
     for name in defenses:
         found.append(Cell(defense=name))
         if name == "none":
             found += [Cell(attack) for attack in (*catalogue.CONTROLS, "linear")]
-            found += [Cell(attack, timing) for attack in catalogue.FOUR for timing in both]
-            found += [Cell("opposite", "random")]
+            found += [Cell(attack, timing) for attack in catalogue.FOUR for timing in three]
+            found += [Cell("opposite", timing) for timing in ("random", "random-third")]
         elif name in VARIANTS:
-            attacks = catalogue.FOUR if name == MAIN else ("opposite", "qfunction", "optimal")
-            found += [Cell(attack, timing, name) for attack in attacks for timing in both]
+            attacks, timings = (catalogue.FOUR, three) if name == MAIN else (("opposite", "qfunction", "optimal"), both)
+            found += [Cell(attack, timing, name) for attack in attacks for timing in timings]
             found += [Cell(attack, "always", name) for attack in ("linear", "uniform") if name == MAIN]
         else:
             found += [Cell(attack, "always", name) for attack in ("opposite", "optimal")]
