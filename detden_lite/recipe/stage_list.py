@@ -97,6 +97,10 @@ _STAGES = (
         dict(timing="rows"),
     ),
     Stage(
+        "planning", "attack", "choose the planner of the enchanting attack from several", "recipe.sweeps:planning",
+        dict(planning="rows"),
+    ),
+    Stage(
         "adversary", "attack", "train a member of the grid of adversaries", "recipe.adversary_stages:train_member",
         dict(adversary="rows", adversary_defended="adapted"),
         (Option("--member", 0, text="its place in the grid"), _DEFENDED), _SNAPSHOTS,
@@ -162,10 +166,6 @@ _STAGES = (
     ),
     Stage(
         "epsilon", "measure", "attack at several sizes of the ball", "recipe.sweeps:epsilon", dict(epsilon="studied")
-    ),
-    Stage(
-        "planning", "measure", "run the enchanting attack with several planners", "recipe.sweeps:planning",
-        dict(planning="studied"),
     ),
     Stage(
         "barrier", "measure", "measure what the noise of the latents costs an attacker who knows the defence",
