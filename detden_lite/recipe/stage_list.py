@@ -93,8 +93,8 @@ _STAGES = (
         dict(qfunction="rows"),
     ),
     Stage(
-        "timing", "attack", "tune C_vul, the threshold of the vulnerable timing", "recipe.vulnerability:tune_timing",
-        dict(timing="rows"),
+        "timing", "attack", "tune C_vul: for the most damage a strike, and for strikes at a third of the steps",
+        "recipe.vulnerability:tune_timing", dict(timing="rows"),
     ),
     Stage(
         "planning", "attack", "choose the planner of the enchanting attack from several", "recipe.sweeps:planning",

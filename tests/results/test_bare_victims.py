@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from builders import BUDGET, HOPPER, make_victim, record
 
-from detden_lite.attacks.catalogue import TITLES
+from detden_lite.attacks.catalogue import FOUR, TIMINGS, TITLES
 from detden_lite.attacks.threat import Threat
 from detden_lite.core.files import ArtifactError
 from detden_lite.recipe.episode_seeds import SEEDS
@@ -31,6 +31,12 @@ def test_the_paper_has_forty_numbers_all_below_its_clean_returns():
     assert {attack for attack, _ in CELLS} <= set(TITLES)
 
 
+def test_the_four_attacks_meet_each_victim_at_every_timing_and_their_controls_at_the_same_rates():
+    for attack in FOUR:
+        assert {timing for name, timing in CELLS if name == attack} >= {"always", "vulnerable", "third"}
+    assert {timing for _, timing in CELLS} == set(TIMINGS)
+
+
 def test_only_records_that_are_there_are_loaded(tmp_path):
     assert load_bare("hopper", "td3", tmp_path) == {}
     ship(tmp_path, none_always=[10, 12], opposite_always=[3, 5], opposite_random=[1, 1], uniform_always=[8, 8])
@@ -50,6 +56,7 @@ def test_an_altered_record_is_refused(tmp_path):
 
 def test_the_strongest_attack_is_neither_noise_nor_randomly_timed(tmp_path):
     ship(tmp_path, none_always=[10, 12], uniform_always=[0, 0], opposite_random=[0, 0])
+    ship(tmp_path, **{"opposite_random-third": [0, 0]})
     assert strongest(load_bare("hopper", "td3", tmp_path)) is None
     ship(tmp_path, opposite_always=[4, 4], qfunction_vulnerable=[3, 4])
     records = load_bare("hopper", "td3", tmp_path)
