@@ -121,7 +121,7 @@ def over_planners(
         )  # fmt: skip
         lived = (episodes.attacked & episodes.mask).sum(0)
         speed = planner.plans / planner.seconds
-        fell = episodes.lengths < len(episodes.mask)
+        fell = episodes.lengths < (steps or task.horizon)
         costs = dict(plans_per_second=speed, seconds=np.where(fell, lived, task.horizon).mean() / speed)
         rows.append(dict(settings, **costs, lived=lived.tolist(), **_of(episodes.returns)))
     chosen = planners[_chosen(rows, CHEAPER * clean, affordable)]

@@ -53,6 +53,13 @@ def test_every_planner_attacks_robots_that_already_walk():
     assert first["seconds"] == pytest.approx(np.where(ended, first["lived"], 1000).mean() / first["plans_per_second"])
 
 
+def test_an_episode_that_ends_is_not_charged_for_what_would_follow():
+    victim, settings = make_victim(seed=8), dict(horizon=2, population=4, iterations=1, elites=2)
+    (row,) = over_planners(HOPPER, victim, BUDGET, EPISODES, [settings], begin=0, steps=500)["rows"]
+    assert max(row["lived"]) < 500
+    assert row["seconds"] * row["plans_per_second"] == pytest.approx(np.mean(row["lived"]))
+
+
 @pytest.mark.parametrize(
     ("means", "affordable", "chosen"),
     [
