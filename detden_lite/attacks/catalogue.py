@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
     Arguments = Callable[[Threat, Victim, Task], dict[str, object]]
 
-TIMINGS = ("always", "vulnerable", "random")
+# When to attack: "third" is "vulnerable" with the threshold that strikes at about a third of the steps, and each random
+# timing strikes as often as the one that it is the control of.
+TIMINGS = ("always", "vulnerable", "random", "third", "random-third")
 FORMS = dict(text="section 4.4", appendix="appendix B")  # where the paper prints its adaptive attacks, in two forms
 
 

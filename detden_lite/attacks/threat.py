@@ -32,6 +32,8 @@ class Threat:
     restarts: int = 1
     c_vul: float = -inf  # threshold of the vulnerable timing
     rate: float = 1.0  # of the random timing
+    c_third: float | None = None  # the threshold that strikes at a third of the steps; None: not tuned
+    rate_third: float | None = None  # how often it strikes: the rate of its control
     planner: Mapping[str, int] = field(default_factory=dict)  # arguments of ``CEMPlanner``
     adversaries: Mapping[str, Victim] = field(default_factory=dict)  # by kind, see ``models.load_adversary``
     adaptive: Mapping[str, int] = field(default_factory=dict)  # arguments of ``AdaptiveAttack``, for its variants too
@@ -39,8 +41,8 @@ class Threat:
     def __post_init__(self) -> None:
         check_kind(Budget, budget=self.budget)
         check_whole(1, steps=self.steps, restarts=self.restarts)
-        check_between(0, 1, rate=self.rate)
-        check_number(c_vul=self.c_vul)
+        check_between(0, 1, rate=self.rate, rate_third=self.rate_third or 0)
+        check_number(c_vul=self.c_vul, c_third=self.c_third or 0)
 
     def attack(self, name: str, victim: Victim, task: Task) -> Attack | None:
         """The attack of this name, or None for "none"; a ValueError that lists the names otherwise."""
@@ -57,9 +59,17 @@ class Threat:
         return self.adversaries[kind]
 
     def timing(self, name: str, victim: Victim) -> Timing:
-        """The timing of this name."""
+        """The timing of this name.
+
+        Raises:
+            ValueError: for another name; or if a timing at a third of the steps is asked for and not tuned.
+        """
         if name not in TIMINGS:
             raise ValueError(f"timing must be one of {', '.join(TIMINGS)}, not {name!r}")
         if name == "always":
             return Always()
-        return Random(self.rate) if name == "random" else Vulnerable(victim, self.c_vul)
+        third = name.endswith("third")
+        rate, c_vul = (self.rate_third, self.c_third) if third else (self.rate, self.c_vul)
+        if rate is None or c_vul is None:
+            raise ValueError(f"c_third, rate_third: timing {name!r} is not tuned; run the stage timing, or give both")
+        return Random(rate) if name.startswith("random") else Vulnerable(victim, c_vul)

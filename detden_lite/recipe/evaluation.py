@@ -11,6 +11,7 @@ from detden_lite.attacks.enchanting import EnchantingAttack
 from detden_lite.attacks.gradient import GradientAttack
 from detden_lite.attacks.informed import InformedAttack
 from detden_lite.attacks.threat import Threat
+from detden_lite.attacks.timing import Random, Vulnerable
 from detden_lite.core.metrics import summarize
 from detden_lite.core.tasks import Task
 from detden_lite.core.types import Episodes
@@ -71,10 +72,10 @@ def run_cell(
     if isinstance(attack, EnchantingAttack):
         planner = attack.planner
         settings |= dict(horizon=planner.horizon, population=planner.population, iterations=planner.iterations)
-    if cell.timing == "vulnerable":
-        settings["c_vul"] = threat.c_vul
-    if cell.timing == "random":
-        settings["rate"] = threat.rate
+    if isinstance(timing, Vulnerable):
+        settings["c_vul"] = timing.threshold
+    if isinstance(timing, Random):
+        settings["rate"] = timing.rate
     if defense is not None:
         threshold = defense.detector.threshold
         settings["c_anomaly"] = threshold if np.isfinite(threshold) else None  # JSON knows no infinity

@@ -1,7 +1,7 @@
 """The folder of a run: which victim at which scale."""
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -93,7 +93,7 @@ class Run(Generic[Sizes]):
         return models.load_defense(self.task.name, self.algo, variant, self.root)
 
     def threat(self: "Run[Scale]") -> Threat:
-        """The attacker of the evaluations, with the tuned timing and the adversaries that are there."""
+        """The attacker of the evaluations, with the tuned timings, and the planner and adversaries that are there."""
         tuned = manifest.read_json(self.folder / "timing.json", self.root)
         row = (self.task.name, self.algo)
         adversaries = {
@@ -101,7 +101,17 @@ class Run(Generic[Sizes]):
             for kind in models.ADVERSARIES
             if models.adversary_path(*row, kind, self.root).exists()
         }
-        return replace(self.untimed_threat, c_vul=tuned["c_vul"], rate=tuned["attack_rate"], adversaries=adversaries)
+        third = tuned.get("third", {})  # which older files lack
+        return replace(
+            self.untimed_threat, c_vul=tuned["c_vul"], rate=tuned["attack_rate"], c_third=third.get("c_vul"),
+            rate_third=third.get("attack_rate"), planner=self._planner(), adversaries=adversaries,
+        )  # fmt: skip
+
+    def _planner(self: "Run[Scale]") -> Mapping[str, int]:
+        """The arguments of the planner that the stage planning chose; the scale's where it has not run."""
+        path = self.folder / "planning.json"
+        found = manifest.read_json(path, self.root) if path.exists() else {}
+        return found.get("chosen", self.scale.planner)
 
     @property
     def untimed_threat(self: "Run[Scale]") -> Threat:

@@ -39,21 +39,20 @@ TINY_VICTIMS: dict[str, TD3Recipe | PPORecipe] = {
     "ppo": PPORecipe(steps=1_024, segment=512, net=32, envs=4, rollout=64, epochs=2),
 }
 
-# The planner of the enchanting attack in the reported cells; below, those of the sweep of what planning costs.
+# The planner of the enchanting attack where no sweep has chosen one; below, those of the sweep.
 PLANNER = dict(horizon=10, population=8, iterations=1, elites=2)
 
 # Ant, TD3, on 8 tuning episodes of 400 steps: one step ahead left -221, three -158, and ten -127 at ten times the cost.
 PLANNER_OF = {"ant": PLANNER | dict(horizon=1)}
 
-PLANNERS = (
-    *(PLANNER | dict(horizon=horizon) for horizon in (1, 2, 5)),
-    PLANNER,
-    PLANNER | dict(horizon=30),
-    PLANNER | dict(population=4),
-    PLANNER | dict(population=32, elites=6),
-    PLANNER | dict(population=64, iterations=4, elites=8),
-    PLANNER | dict(population=128, iterations=4, elites=16),
+PLANNERS = tuple(
+    dict(horizon=horizon, population=population, iterations=iterations, elites=elites)
+    for population, iterations, elites in ((8, 1, 2), (32, 2, 6), (64, 4, 8))
+    for horizon in (1, 3, 10, 30)
 )
+
+# The attacked steps of an episode of the sweep: fewer where a plan costs several times as much.
+PLANNED_STEPS = {"ant": 50, "humanoid": 50}
 
 TINY_PLANNER = dict(horizon=3, population=8, iterations=1, elites=2)
 
@@ -129,7 +128,8 @@ class Scale(DefenseScale):
         planned_episodes: of the cells whose attack plans or knows the defence, which takes long.
         adaptive: arguments of ``AdaptiveAttack``.
         planner: arguments of ``CEMPlanner``.
-        planners: of the sweep of planners.
+        planners: of the sweep from which the victim's planner is chosen.
+        planned_steps: the attacked steps of an episode of that sweep.
         adversaries: the grid of the optimal attack.
         linear: of the search for the linear adversary.
         offset: of the search for the held offset.
@@ -149,6 +149,7 @@ class Scale(DefenseScale):
     adaptive: Mapping[str, int]
     planner: Mapping[str, int]
     planners: tuple[Mapping[str, int], ...]
+    planned_steps: int
     adversaries: tuple[AdversaryRecipe, ...]
     linear: LinearRecipe
     offset: OffsetRecipe
@@ -197,6 +198,7 @@ def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
             adaptive=dict(steps=2, samples=2, fresh=2),
             planner=TINY_PLANNER,
             planners=TINY_PLANNERS,
+            planned_steps=25,
             adversaries=TINY_ADVERSARIES,
             linear=LinearRecipe(generations=2, population=8, elites=4, episodes=1),
             offset=OffsetRecipe(candidates=8, episodes=1, finalists=2, rounds=1),
@@ -212,6 +214,7 @@ def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
         adaptive=dict(steps=10, samples=4) if name == "lite" else dict(steps=100, samples=8),
         planner=PLANNER_OF.get(task.name, PLANNER),
         planners=PLANNERS,
+        planned_steps=PLANNED_STEPS.get(task.name, 200),
         adversaries=LITE_ADVERSARIES if name == "lite" else PAPER_ADVERSARIES,
         linear=LinearRecipe(generations=40, population=128, elites=32, episodes=2),
         offset=OffsetRecipe(),

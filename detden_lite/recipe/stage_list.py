@@ -93,8 +93,12 @@ _STAGES = (
         dict(qfunction="rows"),
     ),
     Stage(
-        "timing", "attack", "tune C_vul, the threshold of the vulnerable timing", "recipe.vulnerability:tune_timing",
-        dict(timing="rows"),
+        "timing", "attack", "tune C_vul: for the most damage a strike, and for strikes at a third of the steps",
+        "recipe.vulnerability:tune_timing", dict(timing="rows"),
+    ),
+    Stage(
+        "planning", "attack", "choose the planner of the enchanting attack from several", "recipe.sweeps:planning",
+        dict(planning="rows"),
     ),
     Stage(
         "adversary", "attack", "train a member of the grid of adversaries", "recipe.adversary_stages:train_member",
@@ -166,10 +170,6 @@ _STAGES = (
     ),
     Stage(
         "epsilon", "measure", "attack at several sizes of the ball", "recipe.sweeps:epsilon", dict(epsilon="studied")
-    ),
-    Stage(
-        "planning", "measure", "run the enchanting attack with several planners", "recipe.sweeps:planning",
-        dict(planning="studied"),
     ),
     Stage(
         "barrier", "measure", "measure what the noise of the latents costs an attacker who knows the defence",

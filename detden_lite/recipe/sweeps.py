@@ -1,8 +1,9 @@
-"""Two sweeps of one victim: the return at each size of the ball, and the return and cost of each planner."""
+"""Two sweeps of one victim: the return at each size of the ball, and the planner of the enchanting attack."""
 
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
+from math import inf, prod
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ from detden_lite.simulation.rollout import rollout
 from detden_lite.store import manifest
 from detden_lite.victims.victim import Victim
 
+CHEAPER = 0.02  # of the clean return: a planner that leaves so much more is as good, if it is cheaper
+AFFORDABLE = 60.0  # seconds of CPU that the planning of one episode may take
 SIZES = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0)  # of the ball, in units of the task's epsilon
 
 
@@ -78,8 +81,12 @@ def over_planners(
     planners: Sequence[Mapping[str, int]],
     begin: int = 125,
     steps: int | None = None,
+    affordable: float = inf,
 ) -> dict[str, Any]:
-    """The enchanting attack with several planners, on a robot that is already walking.
+    """The enchanting attack with several planners, on a robot that is already walking, and the choice of one.
+
+    The chosen one is the cheapest of those whose mean return is at most ``CHEAPER`` above the lowest, among those with
+    which an episode takes at most ``affordable``. What a planner costs is the number of steps that it simulates.
 
     Args:
         task: where the victim acts.
@@ -89,11 +96,22 @@ def over_planners(
         planners: the arguments of each ``CEMPlanner``.
         begin: the first step that is attacked.
         steps: the longest an episode may be; the task's horizon by default.
+        affordable: seconds of CPU for the plans of one episode that is attacked from its first step on.
 
     Returns:
-        Ready for JSON: a row for each planner, with the returns of all episodes, how many steps each lasted under
-        attack, and how many plans the planner makes in a second of CPU time.
+        Ready for JSON: the arguments of the ``chosen`` planner, the mean ``clean_return`` of the same episodes, and a
+        row for each planner, with the returns of all episodes, how many steps each lasted under attack, how many plans
+        the planner makes in a second of CPU time, and the seconds that it takes for an episode: of those that did not
+        end during the sweep, up to the task's horizon.
+
+    Example:
+        >>> from detden_lite import Budget, get_task, load_victim, over_planners
+        >>> task, victim, small = get_task("hopper"), load_victim("hopper", "td3"), dict(population=4, elites=2)
+        >>> planners = [small | dict(horizon=horizon, iterations=1) for horizon in (1, 2)]
+        >>> over_planners(task, victim, Budget(0.075), [0], planners, begin=2, steps=5)["chosen"] in planners
+        True
     """
+    clean = float(rollout(victim, task, episode_seeds, steps=steps).returns.mean())
     rows: list[dict[str, Any]] = []
     for settings in tqdm(planners, desc="planners", unit="planner"):
         planner = _Timed(task.env_id, **settings)
@@ -103,8 +121,20 @@ def over_planners(
         )  # fmt: skip
         lived = (episodes.attacked & episodes.mask).sum(0)
         speed = planner.plans / planner.seconds
-        rows.append(dict(settings, plans_per_second=speed, lived=lived.tolist(), **_of(episodes.returns)))
-    return dict(rows=rows, begin=begin, seeds=[int(episode_seeds[0]), len(episode_seeds)])
+        fell = episodes.lengths < (steps or task.horizon)
+        costs = dict(plans_per_second=speed, seconds=np.where(fell, lived, task.horizon).mean() / speed)
+        rows.append(dict(settings, **costs, lived=lived.tolist(), **_of(episodes.returns)))
+    chosen = planners[_chosen(rows, CHEAPER * clean, affordable)]
+    first = int(episode_seeds[0])
+    return dict(chosen=dict(chosen), clean_return=clean, rows=rows, begin=begin, seeds=[first, len(episode_seeds)])
+
+
+def _chosen(rows: Sequence[Mapping[str, Any]], tie: float, affordable: float) -> int:
+    """The place of the cheapest row among those within ``tie`` of the lowest return; see ``over_planners``."""
+    order = sorted(range(len(rows)), key=lambda i: prod(rows[i][k] for k in ("horizon", "population", "iterations")))
+    able = [i for i in order if rows[i]["seconds"] <= affordable] or order[:1]
+    means = {i: rows[i]["estimate"]["mean"] for i in able}
+    return next(i for i in able if means[i] <= min(means.values()) + tie)
 
 
 class _Timed(CEMPlanner):
@@ -133,11 +163,11 @@ def epsilon(run: Run[Scale]) -> None:
 
 
 def planning(run: Run[Scale]) -> None:
-    """The stage: ``planning.json`` of a run, on tuning episodes, since a planner may be chosen by it."""
+    """The stage: ``planning.json`` of a run, with the planner of its enchanting attack, chosen on tuning episodes."""
     path = run.folder / "planning.json"
     if not manifest.is_made(path, run.root):
-        begin, episodes = min(125, run.scale.horizon // 2), seeds("tuning", min(32, run.scale.episodes))
-        found = over_planners(
-            run.task, run.victim(), run.budget, episodes, run.scale.planners, begin, run.scale.horizon
-        )  # fmt: skip
+        begin, episodes = min(125, run.scale.horizon // 2), seeds("tuning", min(8, run.scale.episodes))
+        steps = min(begin + run.scale.planned_steps, run.scale.horizon)
+        planners = run.scale.planners
+        found = over_planners(run.task, run.victim(), run.budget, episodes, planners, begin, steps, AFFORDABLE)
         manifest.write_json(path, found, run.root)

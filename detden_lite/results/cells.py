@@ -33,28 +33,27 @@ class Cell:
 def table_cells(defenses: Iterable[str] = ("none", MAIN)) -> list[Cell]:
     """The cells of the tables, one defence after the other; "none" is the bare victim.
 
-    The main defence meets all attacks that do not know it, noise and held corners; other trained ones those of the four
-    that need no planner; and assembled ones the opposite attack, which the denoiser has seen, and the optimal one,
-    which it has not.
+    The bare victim and the main defence meet all attacks that do not know it, those of the paper at every timing. Other
+    trained ones meet those of the four that need no planner; and assembled ones the opposite attack, which the denoiser
+    has seen, and the optimal one, which it has not. The random timings are controls, of the bare victim alone.
 
     Example:
         >>> [cell.attack for cell in table_cells(["oracle-detector"])]
         ['none', 'opposite', 'optimal']
     """
-    both = ("always", "vulnerable")
+    both, three = ("always", "vulnerable"), ("always", "vulnerable", "third")
     found = []
     for name in defenses:
         found.append(Cell(defense=name))
         if name == "none":
             found += [Cell(attack) for attack in (*catalogue.CONTROLS, *catalogue.UNAWARE)]
-            found += [Cell(attack, timing) for attack in catalogue.FOUR for timing in both]
-            found += [Cell("opposite", "random")]
+            found += [Cell(attack, timing) for attack in catalogue.FOUR for timing in three]
+            found += [Cell("opposite", timing) for timing in ("random", "random-third")]
         elif name in VARIANTS:
-            attacks = catalogue.FOUR if name == MAIN else ("opposite", "qfunction", "optimal")
-            found += [Cell(attack, timing, name) for attack in attacks for timing in both]
-            found += [
-                Cell(attack, "always", name) for attack in (*catalogue.UNAWARE, "uniform", "corner") if name == MAIN
-            ]
+            attacks, timings = (catalogue.FOUR, three) if name == MAIN else (("opposite", "qfunction", "optimal"), both)
+            found += [Cell(attack, timing, name) for attack in attacks for timing in timings]
+            held = (*catalogue.UNAWARE, "uniform", "corner")
+            found += [Cell(attack, "always", name) for attack in held if name == MAIN]
         else:
             found += [Cell(attack, "always", name) for attack in ("opposite", "optimal")]
     return found

@@ -85,7 +85,9 @@ SENSELESS = [  # what to make, and the argument that the error must name
             *(("steps", value) for value in NO_NUMBERS),
             *(("restarts", value) for value in NO_NUMBERS),
             *(("rate", value) for value in (-0.1, 1.5, nan)),
+            *(("rate_third", value) for value in (-0.1, 1.5, nan)),
             ("c_vul", nan),
+            ("c_third", nan),
         )
     ),
     (lambda: Threat(BUDGET).attack("tickle", VICTIM, HOPPER), "attack"),

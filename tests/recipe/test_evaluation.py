@@ -90,6 +90,14 @@ def test_the_same_cell_gives_the_same_record(victim):
     assert first["settings"]["c_vul"] == 0.1
 
 
+def test_a_record_states_the_setting_of_its_timing(victim):
+    threat = replace(THREAT, c_third=0.2, rate_third=0.25)
+    expected = {"vulnerable": dict(c_vul=0.1), "random": dict(rate=0.5), "third": dict(c_vul=0.2), "always": {}}
+    for timing, setting in (expected | {"random-third": dict(rate=0.25)}).items():
+        record, _ = run_cell(Cell("uniform", timing), HOPPER, victim, threat, None, seeds("report", 2), steps=3)
+        assert record["settings"] == dict(epsilon=0.075, norm="inf") | setting
+
+
 @pytest.mark.parametrize("attack", ["none", "uniform", "gaussian", "fgsm", "opposite"])
 def test_every_attack_of_the_tables_can_be_run(victim, attack):
     record, episodes = run(victim, Cell(attack))

@@ -27,9 +27,9 @@ from detden_lite.store import models
 DATA = ROOT / "data"
 ROWS = [f"{task}-{algo}" for algo in ALGORITHMS for task in TASKS]
 JOBS = dict(
-    victim=13, select=11, qfunction=5, trajectories=11, augmentation=11, detector=11, timing=10,
+    victim=13, select=11, qfunction=5, trajectories=11, augmentation=11, detector=11, timing=10, planning=10,
     choose=10, linear=10, attacks=10, evaluation=10, table=1, look=10, portrait=10,
-    epsilon=1, planning=1, gallery=1, defend=1, baselines=1, threshold=1, ablation=1, all=1,
+    epsilon=1, gallery=1, defend=1, baselines=1, threshold=1, ablation=1, all=1,
     choose_defended=4, adaptive=4, ceilings=6, barrier=1, curve=1, slip=1,
 )  # fmt: skip
 
@@ -139,7 +139,7 @@ def test_one_row_can_be_planned_alone_without_films(tmp_path):
     assert rows == dict(
         victim=4, select=2, qfunction=1, trajectories=3, augmentation=3, detector=3, denoiser=9, timing=2,
         adversary=4, choose=2, linear=2, attacks=2, evaluation=2, table=1, epsilon=1,
-        planning=1, baselines=1, threshold=1, ablation=1, adversary_defended=2, choose_defended=1, adaptive=1,
+        planning=2, baselines=1, threshold=1, ablation=1, adversary_defended=2, choose_defended=1, adaptive=1,
         barrier=1, curve=1, ceilings=1, all=1,
     )  # fmt: skip
     own = planned(run(tmp_path, "--dry-run", "--config", "only=swimmer-ppo"))
@@ -235,7 +235,7 @@ def test_a_run_makes_everything_of_its_row(killed):
 def test_the_time_of_every_stage_is_measured(killed):
     record = durations.measure(killed[0])
     assert set(record["rows"]["hopper-ppo"]) == set(durations.RULES) - {"publish", "table"} - {
-        "look", "portrait", "epsilon", "planning", "barrier", "curve", "gallery", "slip", "defend",
+        "look", "portrait", "epsilon", "barrier", "curve", "gallery", "slip", "defend",
         "baselines", "threshold", "ablation",
     }  # fmt: skip
     spent = record["rows"]["hopper-ppo"]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from builders import BUDGET, HOPPER, make_victim, record
 
-from detden_lite.attacks.catalogue import TITLES
+from detden_lite.attacks.catalogue import FOUR, TIMINGS, TITLES
 from detden_lite.attacks.threat import Threat
 from detden_lite.core.files import ArtifactError
 from detden_lite.recipe.episode_seeds import SEEDS
@@ -30,6 +30,12 @@ def test_the_paper_has_forty_numbers_all_below_its_clean_returns():
     assert {tuple(row) for row in ATTACKED.values()} == {("opposite", "qfunction", "optimal", "enchanting")}
     assert all(number < PAPER_CLEAN[victim] for victim, row in ATTACKED.items() for number in row.values())
     assert {attack for attack, _ in CELLS} <= set(TITLES)
+
+
+def test_the_four_attacks_meet_each_victim_at_every_timing_and_their_controls_at_the_same_rates():
+    for attack in FOUR:
+        assert {timing for name, timing in CELLS if name == attack} >= {"always", "vulnerable", "third"}
+    assert {timing for _, timing in CELLS} == set(TIMINGS)
 
 
 def test_only_records_that_are_there_are_loaded(tmp_path):

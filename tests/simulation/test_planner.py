@@ -83,7 +83,7 @@ def halfcheetahs(n: int) -> list:
 
 
 class Quadratic(OpenLoop):
-    """A world of one step whose worst action is known."""
+    """A world whose most harmful action, at every step, is known."""
 
     worst = np.array([0.5, -0.5, 0.25, 0.0, -0.25, 1.0])
 
@@ -96,6 +96,20 @@ def test_a_one_step_planner_finds_the_worst_action():
     planner.worlds.__class__ = Quadratic
     planner.reset([3, 4])
     assert np.allclose(planner.plan(halfcheetahs(2), np.ones(2, dtype=bool)), Quadratic.worst, atol=1e-3)
+
+
+def test_the_next_search_begins_with_the_rest_of_the_last_plan():
+    """So that it is never worse than going on with it, and gets better from step to step."""
+    planner = CEMPlanner("HalfCheetah-v5", horizon=8, population=16, iterations=4, elites=4)
+    planner.worlds.__class__ = Quadratic
+    planner.reset([3])
+    found, envs = [], halfcheetahs(1)
+    for _ in range(20):
+        rest = np.square(planner.mean - Quadratic.worst).sum()
+        planner.plan(envs, np.ones(1, dtype=bool))
+        assert planner.least[0] <= rest
+        found.append(planner.least[0])
+    assert found[-1] < 0.5 * found[0]
 
 
 def test_plans_harm_and_more_iterations_harm_more():
