@@ -1,4 +1,4 @@
-"""Which attacks have failed: they leave more return than an attack that knows no more."""
+"""Which attacks have failed: they leave more return than a control, or than an attack that knows less."""
 
 from collections.abc import Mapping, Sequence
 
@@ -13,11 +13,11 @@ Key = tuple[str, str]  # (attack, timing)
 
 
 def beaten_by(records: Mapping[Key, Record], level: float = LEVEL) -> dict[Key, tuple[str, ...]]:
-    """Of each attack, the attacks at the same timing that know no more and yet leave less, beyond chance.
+    """Of each attack, the controls and the attacks that know less, at the same timing, that leave less, beyond chance.
 
-    An attacker could always do what another does who knows no more. So an attack that is beaten has failed, and says
+    An attacker could always do what another does who knows less. So an attack that is beaten has failed, and says
     nothing about the victim or its defence (Carlini et al., 2019; Tramer et al., 2020). The controls are what others
-    must beat, and cannot fail themselves.
+    must beat, and cannot fail themselves. A control that knows what the attack does not, as FGSM, is not compared.
 
     Args:
         records: of one victim with one defence, or bare, by (attack, timing).
@@ -31,8 +31,8 @@ def beaten_by(records: Mapping[Key, Record], level: float = LEVEL) -> dict[Key, 
 
     Example:
         >>> from detden_lite.results.bare_victims import load_bare
-        >>> beaten_by(load_bare("hopper", "td3"))["optimal", "always"]
-        ('linear',)
+        >>> beaten_by(load_bare("hopper", "td3"))["qfunction", "always"]
+        ()
     """
     known = [key for key in records if key[0] in CATALOGUE]
     judged = [key for key in known if CATALOGUE[key[0]].group != "control"]
@@ -40,7 +40,7 @@ def beaten_by(records: Mapping[Key, Record], level: float = LEVEL) -> dict[Key, 
         (key, other)
         for key in judged
         for other in known
-        if other != key and other[1] == key[1] and knowledge(other[0]) <= knowledge(key[0])
+        if other[1] == key[1] and other != key and must_beat(key[0], other[0])
     ]
     flags = holm([chance_of_excess(records[key], records[other]) for key, other in pairs], level)
     found: dict[Key, list[str]] = {key: [] for key in judged}
@@ -50,6 +50,18 @@ def beaten_by(records: Mapping[Key, Record], level: float = LEVEL) -> dict[Key, 
         if beaten:
             found[key].append(other[0])
     return {key: tuple(others) for key, others in found.items()}
+
+
+def must_beat(attack: str, other: str) -> bool:
+    """Whether the other one is a control that knows no more, or an attack that knows less.
+
+    Example:
+        >>> must_beat("optimal", "uniform"), must_beat("optimal", "linear"), must_beat("director", "linear")
+        (True, False, True)
+    """
+    if CATALOGUE[other].group == "control":
+        return knowledge(other) <= knowledge(attack)
+    return knowledge(other) < knowledge(attack)
 
 
 def knowledge(attack: str) -> frozenset[str]:
