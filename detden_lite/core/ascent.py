@@ -38,7 +38,8 @@ def ascend(
         streams: where random starts come from; None starts at ``obs`` itself, which is a stationary point of some
             objectives (the opposite attack's among them).
         steps: gradient steps of each restart.
-        step_size: length of a step in the budget's norm; by default 2.5 epsilon / steps, and epsilon for one step.
+        step_size: length of every step in the budget's norm. By default steps shrink evenly, from epsilon towards 0:
+            long ones leave poor maxima behind, short ones settle.
         restarts: how many starts are tried.
         wanted: which of the N rows to perturb, ``[N]`` bool; by default all. ``objective`` sees only these. All rows
             use their random numbers, so that ``wanted`` does not change the others' starts.
@@ -55,18 +56,18 @@ def ascend(
         tensor([[ 0.1000, -0.1000,  0.1000]])
     """
     check_whole(1, steps=steps, restarts=restarts)
-    if step_size is None:
-        step_size = budget.epsilon * (2.5 / steps if steps > 1 else 1.0)
+    shrinking = [budget.epsilon * (1 - step / steps) for step in range(steps)]
+    sizes = shrinking if step_size is None else [step_size] * steps
     starts = torch.stack([budget.sample(obs, streams) if streams is not None else obs for _ in range(restarts)])
     if wanted is not None and not wanted.all():
         found = obs.clone()
         if wanted.any():
-            found[wanted] = _climb(objective, obs[wanted], budget, starts[:, wanted], steps, step_size)
+            found[wanted] = _climb(objective, obs[wanted], budget, starts[:, wanted], sizes)
         return found
-    return _climb(objective, obs, budget, starts, steps, step_size)
+    return _climb(objective, obs, budget, starts, sizes)
 
 
-def _climb(objective: Objective, obs: Tensor, budget: Budget, starts: Tensor, steps: int, step_size: float) -> Tensor:
+def _climb(objective: Objective, obs: Tensor, budget: Budget, starts: Tensor, sizes: list[float]) -> Tensor:
     slope = getattr(objective, "value_and_gradient", None)
     at_once = max(1, ROWS // max(1, len(obs))) if slope else 1
     slope = slope or partial(value_and_gradient, objective)
@@ -74,10 +75,10 @@ def _climb(objective: Objective, obs: Tensor, budget: Budget, starts: Tensor, st
     for group in starts.split(at_once):
         x = project(group if len(group) > 1 else group[0])
         met = Best(obs.expand_as(x))
-        for _ in range(steps):
+        for size in sizes:
             value, gradient = slope(x)
             met.meet(x, value)
-            x = project(x.add(budget.steepest(gradient), alpha=step_size))
+            x = project(x.add(budget.steepest(gradient), alpha=size))
         with torch.no_grad():
             met.meet(x, objective(x))
         for point, value in zip(met.point.view(-1, *obs.shape), met.value.view(-1, len(obs)), strict=True):

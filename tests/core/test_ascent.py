@@ -42,7 +42,7 @@ def test_restarts_find_a_planted_adversarial_point(norm):
         return peak - ((x - hill) ** 2).sum(-1) / 10
 
     def share_found(restarts: int) -> float:
-        found = ascend(objective, obs, budget, RandomStreams(0), steps=40, restarts=restarts)
+        found = ascend(objective, obs, budget, RandomStreams(0), 40, step_size=0.06, restarts=restarts)
         return float((torch.linalg.vector_norm(found - corner, dim=-1) < 0.15).double().mean())
 
     assert share_found(1) < 1
