@@ -9,7 +9,11 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
+NARROW = 32  # a product with fewer columns is faster transposed
+
 relu_backward = torch.ops.aten.threshold_backward.grad_input
+
+clamp_backward = torch.ops.aten.hardtanh_backward.grad_input
 
 tanh_backward = torch.ops.aten.tanh_backward.grad_input
 
@@ -63,7 +67,10 @@ class Backprop:
                 else:
                     gradient = tanh_backward(gradient, self.outputs[i], grad_input=out)
             weight = self.weights[i]
-            gradient = torch.mm(gradient, weight, out=self._buffer(f"outer {i}", len(gradient), weight.shape[1]))
+            if weight.shape[1] < NARROW:
+                gradient = torch.mm(weight.T, gradient.T).T
+            else:
+                gradient = torch.mm(gradient, weight, out=self._buffer(f"outer {i}", len(gradient), weight.shape[1]))
         return gradient.float()
 
     def _cast(self, x: Tensor, name: str) -> Tensor:

@@ -4,7 +4,7 @@ import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from detden_lite.attacks.opposite import OppositeAttack
 from detden_lite.attacks.qfunction import QFunctionAttack
@@ -115,8 +115,15 @@ class Run(Generic[Sizes]):
 
     @property
     def untimed_threat(self: "Run[Scale]") -> Threat:
-        """The attacker before the timing is tuned and adversaries are trained."""
-        return Threat(self.budget, self.scale.attack_steps, planner=self.scale.planner, adaptive=self.scale.adaptive)
+        """The attacker before the timing is tuned and adversaries are trained.
+
+        Steps and restarts are those that ``convergence.json`` chose, or the scale's if it is not there.
+        """
+        path, scale = self.folder / "convergence.json", self.scale
+        search: dict[str, Any] = dict(steps=scale.attack_steps, restarts=scale.attack_restarts)
+        if path.exists():
+            search = manifest.read_json(path, self.root)["chosen"]
+        return Threat(self.budget, planner=scale.planner, adaptive=scale.adaptive, **search)
 
     def opposite(self, victim: Victim) -> OppositeAttack:
         """The opposite attack with the scale's steps."""

@@ -124,6 +124,7 @@ class Scale(DefenseScale):
         victim: of its training.
         critic: of the Q-function of a PPO victim.
         memoryless_epochs: of the auto-encoder without memory.
+        attack_restarts: starts of each gradient attack that is measured.
         episodes: of each reported cell.
         planned_episodes: of the cells whose attack plans or knows the defence, which takes long.
         adaptive: arguments of ``AdaptiveAttack``.
@@ -144,6 +145,7 @@ class Scale(DefenseScale):
     victim: TD3Recipe | PPORecipe
     critic: QRecipe
     memoryless_epochs: int
+    attack_restarts: int
     episodes: int
     planned_episodes: int
     adaptive: Mapping[str, int]
@@ -193,6 +195,7 @@ def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
             victim=TINY_VICTIMS[algo],
             critic=QRecipe(episodes=16, net=32, epochs=3, batch=64),
             memoryless_epochs=1,
+            attack_restarts=2,
             episodes=4,
             planned_episodes=2,
             adaptive=dict(steps=2, samples=2, fresh=2),
@@ -208,6 +211,7 @@ def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
         victim=VICTIMS[task.name, algo],
         critic=QRecipe(),
         memoryless_epochs=10,
+        attack_restarts=5,
         episodes=100,
         planned_episodes=50,
         # Under Hopper's opposite attack 20 steps and 8 samples move the action by 0.71, and these few by 0.72.

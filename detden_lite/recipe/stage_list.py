@@ -93,6 +93,10 @@ _STAGES = (
         dict(qfunction="rows"),
     ),
     Stage(
+        "converge", "attack", "choose how many steps and restarts the gradient attacks take",
+        "recipe.convergence:converge", dict(converge="rows", converge_defended="rows"), (_DEFENDED,),
+    ),
+    Stage(
         "timing", "attack", "tune C_vul: for the most damage a strike, and for strikes at a third of the steps",
         "recipe.vulnerability:tune_timing", dict(timing="rows"),
     ),

@@ -127,6 +127,19 @@ def test_restarts_make_the_opposite_attack_stronger():
     assert (often >= once).all() and (often > once).any()
 
 
+def test_five_restarts_reach_the_best_corner_of_a_linear_policy():
+    """All corners are tried: of a length that is convex in the perturbation one of them is the maximum."""
+    corners = torch.cartesian_prod(*[torch.tensor([-1.0, 1.0])] * 11)
+    shares = []
+    for seed in range(20):
+        victim, obs = Victim([11, 3], gaussian=True), normal(10, 11, seed=seed)
+        victim.actor[0].weight.copy_(normal(3, 11, seed=seed))
+        most = (0.1 * corners @ victim.actor[0].weight.T).norm(dim=-1).max()
+        found = attack_once(OppositeAttack(victim, Budget(0.1), steps=20, restarts=5), obs)
+        shares.append(opposite_objective(victim, obs)(found).sqrt() / most)
+    assert 0.99 < torch.cat(shares).mean() < 1 + 1e-5
+
+
 def test_gaussian_noise_is_as_wide_as_the_ball():
     perturbed = attack_once(GaussianNoise(Budget(1.0)), torch.zeros(20_000, 1), [0])
     inside = perturbed[perturbed.abs() < 1]
@@ -222,8 +235,9 @@ def test_gradients_by_hand_are_those_of_autograd(dim, gaussian, activation, plai
     }
     for attack, objective in simple.items():
         by_hand = attack.objective(obs, world)
-        for x in (obs + 0.1, obs[:1].expand(n, dim) - 0.5):  # the buffers of the first are used again
-            expected, slope = value_and_gradient(objective, x)
+        points = (obs + 0.1, obs[:1].expand(n, dim) - 0.5)  # the buffers of the first are used again
+        for x in (*points, torch.stack(points)):
+            expected, slope = value_and_gradient(objective if x.ndim == 2 else torch.vmap(objective), x)
             found, hand = by_hand.value_and_gradient(x)
             assert torch.allclose(found, expected, rtol=1e-4, atol=1e-5)
             assert torch.allclose(by_hand(x), expected, rtol=1e-4, atol=1e-5)

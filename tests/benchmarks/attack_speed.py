@@ -1,5 +1,6 @@
 """Offline PGD-20 in samples a second: ours in float32 and bfloat16, the peers, and the machine's own limit; then the
-planner against a loop over one environment. Run by ``make bench``; the peers are asked if they are installed:
+planner against a loop over one environment; then what five restarts in one batch cost, against one start, and the peers
+with as many restarts. Run by ``make bench``; the peers are asked if they are installed:
 
     uv pip install --python .venv torchattacks foolbox adversarial-robustness-toolbox
 
@@ -16,9 +17,13 @@ import torch
 from torch import Tensor, nn
 
 from detden_lite.attacks.opposite import OppositeAttack, opposite_objective
+from detden_lite.core.ascent import Best, ascend
 from detden_lite.core.budget import Budget
-from detden_lite.core.tasks import TASKS
+from detden_lite.core.random_streams import RandomStreams
+from detden_lite.core.tasks import TASKS, get_task
 from detden_lite.simulation.planner import CEMPlanner
+from detden_lite.simulation.rollout import rollout
+from detden_lite.store.models import load_victim
 from detden_lite.victims.victim import Victim
 
 torch.set_num_threads(1)
@@ -62,7 +67,7 @@ def ours(victim: Victim, dtype: torch.dtype) -> Callable[[Tensor], Tensor]:
     return attack
 
 
-def by_torchattacks(victim: Victim) -> Callable[[Tensor], Tensor]:
+def by_torchattacks(victim: Victim, epsilon: float = EPSILON) -> Callable[[Tensor], Tensor]:
     import torchattacks
 
     class SquaredDistance(nn.Module):
@@ -77,7 +82,7 @@ def by_torchattacks(victim: Victim) -> Callable[[Tensor], Tensor]:
         def forward(self, x):
             return super().forward((x - 0.5) * SPAN)
 
-    attack = torchattacks.PGD(Image(victim), EPSILON / SPAN, 2.5 * EPSILON / STEPS / SPAN, STEPS)
+    attack = torchattacks.PGD(Image(victim), epsilon / SPAN, 2.5 * epsilon / STEPS / SPAN, STEPS)
 
     def run(obs: Tensor) -> Tensor:
         cross_entropy, nn.CrossEntropyLoss = nn.CrossEntropyLoss, SquaredDistance
@@ -89,7 +94,7 @@ def by_torchattacks(victim: Victim) -> Callable[[Tensor], Tensor]:
     return run
 
 
-def by_foolbox(victim: Victim) -> Callable[[Tensor], Tensor]:
+def by_foolbox(victim: Victim, epsilon: float = EPSILON) -> Callable[[Tensor], Tensor]:
     import eagerpy
     import foolbox
 
@@ -98,17 +103,17 @@ def by_foolbox(victim: Victim) -> Callable[[Tensor], Tensor]:
             return lambda x: (model(x) - labels).square().sum()
 
     model = foolbox.PyTorchModel(Shim(victim), bounds=(-1e3, 1e3), device="cpu")
-    attack = PGD(abs_stepsize=2.5 * EPSILON / STEPS, steps=STEPS)
+    attack = PGD(abs_stepsize=2.5 * epsilon / STEPS, steps=STEPS)
 
     def run(obs: Tensor) -> Tensor:
         # The criterion must hold actions where foolbox expects classes; ``run`` itself does not mind.
         criterion = foolbox.criteria.Misclassification(eagerpy.astensor(victim.mean(obs)))
-        return attack.run(model, obs, criterion, epsilon=EPSILON)
+        return attack.run(model, obs, criterion, epsilon=epsilon)
 
     return run
 
 
-def by_art(victim: Victim) -> Callable[[Tensor], Tensor]:
+def by_art(victim: Victim, epsilon: float = EPSILON) -> Callable[[Tensor], Tensor]:
     from art.attacks.evasion import ProjectedGradientDescentPyTorch
     from art.estimators.classification import PyTorchClassifier
 
@@ -123,7 +128,7 @@ def by_art(victim: Victim) -> Callable[[Tensor], Tensor]:
     )
     classifier.reduce_labels = lambda y: y
     attack = ProjectedGradientDescentPyTorch(
-        classifier, eps=EPSILON, eps_step=2.5 * EPSILON / STEPS, max_iter=STEPS, num_random_init=1, batch_size=BATCH,
+        classifier, eps=epsilon, eps_step=2.5 * epsilon / STEPS, max_iter=STEPS, num_random_init=1, batch_size=BATCH,
         verbose=False,
     )  # fmt: skip
     return lambda obs: torch.from_numpy(attack.generate(obs.numpy(), victim.mean(obs).numpy()))
@@ -172,6 +177,68 @@ def offline(obs_dim: int, action_dim: int, limit: float) -> None:
         print(f"  not installed: {', '.join(absent)} (see the head of this file)")
 
 
+def restarts(several: int = 5) -> None:
+    """What restarts cost on shipped victims, and what the peers reach who begin anew, at the same steps and starts."""
+    print(f"\nPGD-{STEPS} with {several} starts")
+    for task, algo, n in (
+        ("hopper", "td3", 32),
+        ("hopper", "td3", 128),
+        ("humanoid", "ppo", 32),
+        ("humanoid", "ppo", 128),
+    ):
+        victim, budget = load_victim(task, algo), Budget(get_task(task).epsilon)
+        clean = rollout(victim, get_task(task), range(4), steps=200)
+        obs = torch.from_numpy(np.random.default_rng(0).permutation(clean.obs[clean.mask])[:n])
+        attacks = {count: OppositeAttack(victim, budget, STEPS, count) for count in (1, several)}
+        spent: dict[int, list[float]] = {count: [] for count in attacks}
+        for _ in range(4 * ROUNDS):
+            for count, attack in attacks.items():
+                attack.reset()
+                start = process_time()
+                attack(obs)
+                spent[count].append(process_time() - start)
+        one, all_of_them = (float(np.median(spent[count])) for count in attacks)
+        print(f"  {task}-{algo}, {n:3} rows: {1e3 * one:.1f} ms once, {all_of_them / one:.2f} times that in one batch")
+
+
+def against_peers(starts: int = 5) -> None:
+    """The objective that each reaches on Hopper-TD3 with equal steps, and its best of as many starts."""
+    victim, task = load_victim("hopper", "td3"), get_task("hopper")
+    clean = rollout(victim, task, range(4))
+    obs = torch.from_numpy(np.random.default_rng(0).permutation(clean.obs[clean.mask])[:BATCH])
+    objective = opposite_objective(victim, obs)
+    print(f"\nHopper-TD3, {len(obs):,} rows, {STEPS} steps x {starts} starts")
+
+    def told(name: str, found: Tensor, seconds: float) -> None:
+        inside = Budget(task.epsilon).contains(obs, found, 1e-4).all()
+        print(
+            f"  {name:<13}{len(obs) / seconds:8,.0f} samples/s  mean l_op {objective(found).mean():.4f}"
+            + " LEFT THE BALL" * (not inside)
+        )
+
+    attack = OppositeAttack(victim, Budget(task.epsilon), STEPS, starts)
+    attack.reset()
+    start = process_time()
+    found = attack(obs)
+    told("ours", found, process_time() - start)
+    start = process_time()
+    textbook = ascend(
+        attack.objective(obs), obs, attack.budget, RandomStreams(0), STEPS, 2.5 * task.epsilon / STEPS, starts
+    )
+    told("ours, 2.5/T", textbook, process_time() - start)
+    for name, make in PEERS.items():
+        if not find_spec(name):
+            print(f"  {name} is not installed; the head of this file says how to install it")
+            continue
+        torch.manual_seed(0)
+        peer, best = make(victim, task.epsilon), Best(obs)
+        start = process_time()
+        for _ in range(starts):
+            found = peer(obs)
+            best.meet(found, objective(found))
+        told(name, best.point, process_time() - start)
+
+
 def loop(env: gymnasium.Env, horizon: int, population: int, iterations: int, seed: int = 0) -> int:
     """What a plan costs without ``mujoco.rollout``: set the state, step, for every candidate. Steps done."""
     random, steps = np.random.default_rng(seed), 0
@@ -213,3 +280,5 @@ if __name__ == "__main__":
     offline(11, 3, limit)
     offline(348, 17, limit)
     planner()
+    restarts()
+    against_peers()

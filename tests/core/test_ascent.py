@@ -9,6 +9,7 @@ from detden_lite.attacks.opposite import opposite_objective
 from detden_lite.core.ascent import ascend
 from detden_lite.core.budget import Budget
 from detden_lite.core.random_streams import RandomStreams
+from detden_lite.victims.action_gradients import ActionObjective, Policy
 
 
 @steady
@@ -41,7 +42,7 @@ def test_restarts_find_a_planted_adversarial_point(norm):
         return peak - ((x - hill) ** 2).sum(-1) / 10
 
     def share_found(restarts: int) -> float:
-        found = ascend(objective, obs, budget, RandomStreams(0), steps=40, restarts=restarts)
+        found = ascend(objective, obs, budget, RandomStreams(0), 40, step_size=0.06, restarts=restarts)
         return float((torch.linalg.vector_norm(found - corner, dim=-1) < 0.15).double().mean())
 
     assert share_found(1) < 1
@@ -58,6 +59,29 @@ def test_more_steps_are_not_weaker_and_more_restarts_never():
     fgsm, pgd, restarted = value(1), value(20), value(20, restarts=4)
     assert pgd.mean() > fgsm.mean()
     assert (restarted >= pgd).all() and (restarted > pgd).any()
+
+
+@pytest.mark.parametrize("rows", [1, 14, 4_096])
+@pytest.mark.parametrize("norm", NORMS)
+def test_restarts_together_find_what_they_find_one_after_another(norm, rows, monkeypatch):
+    """However many rows are climbed at once, and for a plain function too, which knows only one restart."""
+    victim, obs, budget = make_victim(), normal(7, 11), Budget(0.3, norm)
+    wanted = torch.arange(7) != 2
+    rising = lambda action: (action - victim(obs[wanted])).square() @ torch.arange(1.0, 4.0)  # noqa: E731
+    together, streams = ActionObjective(Policy(victim, clip=False), rising), RandomStreams(0, range(7))
+
+    def plain(x):
+        assert x.shape == (6, 11)
+        return rising(victim.mean(x))
+
+    alone = [ascend(plain, obs, budget, streams, steps=5, wanted=wanted) for _ in range(5)]
+    best = torch.stack([plain(point[wanted]) for point in alone]).argmax(0)
+    assert len(best.unique()) > 1
+    expected = torch.stack(alone)[:, wanted][best, torch.arange(6)]
+    monkeypatch.setattr("detden_lite.core.ascent.ROWS", rows)
+    for objective in (plain, together):
+        found = ascend(objective, obs, budget, RandomStreams(0, range(7)), steps=5, restarts=5, wanted=wanted)
+        assert torch.allclose(found[wanted], expected, atol=1e-5) and torch.equal(found[2], obs[2])
 
 
 def test_a_step_too_long_does_not_lose_what_was_found():

@@ -27,7 +27,8 @@ from detden_lite.store import models
 DATA = ROOT / "data"
 ROWS = [f"{task}-{algo}" for algo in ALGORITHMS for task in TASKS]
 JOBS = dict(
-    victim=13, select=11, qfunction=5, trajectories=11, augmentation=11, detector=11, timing=10, planning=10,
+    victim=13, select=11, qfunction=5, trajectories=11, augmentation=11, detector=11, converge=10,
+    converge_defended=10, timing=10, planning=10, offset=10, offset_defended=4,
     choose=10, linear=10, attacks=10, evaluation=10, table=1, look=10, portrait=10,
     epsilon=1, gallery=1, defend=1, baselines=1, threshold=1, ablation=1, all=1,
     choose_defended=4, adaptive=4, ceilings=6, barrier=1, curve=1, slip=1,
@@ -137,9 +138,10 @@ def test_a_profile_is_for_the_executor_of_its_name(profile):
 def test_one_row_can_be_planned_alone_without_films(tmp_path):
     rows = planned(run(tmp_path, "--dry-run", "--config", "only=hopper-td3 ant-ppo", "films=false"))
     assert rows == dict(
-        victim=4, select=2, qfunction=1, trajectories=3, augmentation=3, detector=3, denoiser=9, timing=2,
-        adversary=4, choose=2, linear=2, attacks=2, evaluation=2, table=1, epsilon=1,
-        planning=2, baselines=1, threshold=1, ablation=1, adversary_defended=2, choose_defended=1, adaptive=1,
+        victim=4, select=2, qfunction=1, trajectories=3, augmentation=3, detector=3, denoiser=9, converge=2,
+        converge_defended=2, timing=2,
+        adversary=8, choose=2, linear=2, offset=2, offset_defended=1, attacks=2, evaluation=2, table=1, epsilon=1,
+        planning=2, baselines=1, threshold=1, ablation=1, adversary_defended=4, choose_defended=1, adaptive=1,
         barrier=1, curve=1, ceilings=1, all=1,
     )  # fmt: skip
     own = planned(run(tmp_path, "--dry-run", "--config", "only=swimmer-ppo"))
@@ -250,7 +252,17 @@ def test_only_what_depends_on_a_lost_file_runs_again(killed):
     only = ("--dry-run", "--config", "only=hopper-ppo", "films=false")
     assert "Nothing to be done" in run(folder, *only)
     (folder / "hopper-ppo" / f"denoiser-{MAIN}.json").unlink()
-    again = {"denoiser", "adversary_defended", "choose_defended", "evaluation", "ceilings", "adaptive", "table", "all"}
+    again = {
+        "denoiser",
+        "converge_defended",
+        "adversary_defended",
+        "choose_defended",
+        "evaluation",
+        "ceilings",
+        "adaptive",
+        "table",
+        "all",
+    }
     assert set(planned(run(folder, *only))) == again
 
 

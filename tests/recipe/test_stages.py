@@ -38,7 +38,7 @@ from detden_lite.store import manifest, models, tensors
 from detden_lite.victims.victim import Victim
 
 ORDER = ["victim", "select", "collect", "augment", "detector", "denoiser"]
-ORDER += ["timing", "adversary", "choose", "linear", "evaluate"]
+ORDER += ["converge", "converge --defended", "timing", "adversary", "choose", "linear", "evaluate"]
 ADVERSARIES = ["adversary", "adversary-linear"]
 PPO_ORDER = [*ORDER[:2], "qfunction", *ORDER[2:]]
 
@@ -56,9 +56,9 @@ def contents(root: Path) -> dict[str, bytes]:
 def run_recipe(root: Path, order: list[str], algo: str) -> Path:
     """Run every stage in order, and each a second time, which changes nothing."""
     for stage in order:
-        run_stage(root, stage, algo=algo)
+        run_stage(root, *stage.split(), algo=algo)
         before = contents(root)
-        run_stage(root, stage, algo=algo)
+        run_stage(root, *stage.split(), algo=algo)
         assert contents(root) == before, stage
     return root
 
@@ -268,6 +268,8 @@ def test_without_a_snapshot_there_is_nothing_to_select(copy):
             ["victim.*", "normal-diverse", "adversarial-diverse"],
             "qfunction-diverse is empty; run the augment stage first",
         ),
+        ("converge", [], "victim.safetensors is missing"),
+        ("converge --defended", ["victim.*"], f"denoiser-{MAIN}.safetensors is missing"),
         ("timing", [], "victim.safetensors is missing"),
         ("adversary", [], "victim.safetensors is missing"),
         ("choose", ["victim.*"], "no snapshot of an adversary; run the adversary stage first"),
