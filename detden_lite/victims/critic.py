@@ -18,8 +18,8 @@ from detden_lite.victims.victim import Victim
 class QRecipe:
     """How Q is learned: single explored steps, and regression on what came of them until the next one.
 
-    ``noise`` is as large as what attacks do to actions: Q is right about no others. ``gamma`` is below the 0.99 of the
-    paper: what one action does in the next twenty steps can be learned, and what it does in the next hundred hardly.
+    ``noise`` is as large as what attacks do to actions: Q is right about no others. ``gamma`` is below the 0.99 of a
+    training: what one action does in the next twenty steps can be learned, and what it does in the next hundred hardly.
 
     Example:
         >>> from detden_lite import get_task
