@@ -94,6 +94,7 @@ from detden_lite.looking.widgets import frames as frames
 from detden_lite.recipe import bound_along_training as bound_along_training
 from detden_lite.recipe import latent_noise as latent_noise
 from detden_lite.recipe import sanity as sanity
+from detden_lite.recipe.critic_fit import judge_q as judge_q
 from detden_lite.recipe.defend import defend as defend
 from detden_lite.recipe.defense_stages import FALSE_ALARMS as FALSE_ALARMS
 from detden_lite.recipe.episode_seeds import seeds as seeds
@@ -143,7 +144,6 @@ from detden_lite.training.adversary_world import AdversaryEnv as AdversaryEnv
 from detden_lite.victims.action_gradients import ActionObjective as ActionObjective
 from detden_lite.victims.critic import QRecipe as QRecipe
 from detden_lite.victims.critic import learn_q as learn_q
-from detden_lite.victims.critic import policy_noise as policy_noise
 from detden_lite.victims.victim import Victim as Victim
 
 __version__: str

@@ -130,6 +130,7 @@ CASES = [
     # Rollout
     *((f"rollout steps {s!r}", roll(steps=s), "steps") for s in (0, -1, 1.5, "all")),
     *((f"rollout seeds {s!r}", roll(VICTIM, HOPPER, s), "seeds") for s in ([], [1.5], [-1], ["a"], [None], [nan])),
+    *((f"rollout noise rate {s!r}", roll(noise_rate=s), "noise_rate") for s in (-0.1, nan, 1.1)),
     *((f"rollout noise {s!r}", roll(action_noise=s), "action_noise") for s in (-0.1, nan, inf, [0.1, -0.1])),
     *(
         (f"rollout attack of type {type(a).__name__}", roll(attack=a), "attack")
@@ -310,11 +311,11 @@ CASES = [
             ("batch", 0),
             ("learning_rate", 0.0),
             ("gamma", 1.5),
-            ("lam", -0.1),
-            ("episodes", 1),
+            ("noise", 0.0),
+            ("noise_rate", 1.5),
+            ("episodes", 0),
         )
     ),
-    ("noise of a deterministic policy", lambda: dd.policy_noise(VICTIM), "victim"),
     ("a victim from nothing", lambda: dd.Victim.from_sb3(object()), "model"),
     ("a victim from a path", lambda: dd.Victim.from_sb3("model.zip"), "model"),
     ("mlp activation", lambda: dd.mlp([2, 2], "sigmoid"), "activation"),

@@ -193,7 +193,7 @@ def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
         return Scale(
             **sizes,
             victim=TINY_VICTIMS[algo],
-            critic=QRecipe(episodes=16, net=32, epochs=3, batch=64),
+            critic=QRecipe(episodes=16, net=32, epochs=3, batch=64, judged=4),
             memoryless_epochs=1,
             attack_restarts=2,
             episodes=4,
@@ -209,7 +209,8 @@ def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
     return Scale(
         **sizes,
         victim=VICTIMS[task.name, algo],
-        critic=QRecipe(),
+        # Hopper and Walker2d soon fall when they explore.
+        critic=QRecipe(episodes=512 if task.name in ("hopper", "walker2d") else 256),
         memoryless_epochs=10,
         attack_restarts=5,
         episodes=100,

@@ -9,6 +9,7 @@ import numpy as np
 
 from detden_lite.core import estimates
 from detden_lite.recipe import episode_seeds, selection
+from detden_lite.recipe.critic_fit import judge_q
 from detden_lite.recipe.run import Run
 from detden_lite.recipe.scales import Scale
 from detden_lite.simulation.rollout import rollout
@@ -79,11 +80,14 @@ def learn_q(run: Run[Scale], seed: int = 0) -> None:
     if run.algo == "td3":
         raise ValueError("a TD3 victim has critics of its own; the qfunction stage is for PPO")
     recipe, victim, horizon = run.scale.critic, run.victim(), run.scale.horizon
+    seeds = episode_seeds.seeds("critic", recipe.episodes + recipe.judged)
     episodes = rollout(
-        victim, run.task, episode_seeds.seeds("critic", recipe.episodes), action_noise=critic.policy_noise(victim),
+        victim, run.task, seeds[: recipe.episodes], action_noise=recipe.noise, noise_rate=recipe.noise_rate,
         steps=horizon, progress=f"clean episodes of {run.task.name}",
     )  # fmt: skip
-    net, fit = critic.learn_q(victim, run.task, recipe, episodes, horizon, seed)
+    net = critic.learn_q(victim, run.task, recipe, episodes, horizon, seed)
+    able = victim.with_critic(recipe.sizes(run.task), net.state_dict())
+    fit = judge_q(able, run.task, seeds[recipe.episodes :], run.budget, recipe.gamma, horizon)
     sidecar = dict(
         critic=recipe.sizes(run.task), activation="relu", recipe=asdict(recipe), seed=seed, fit=asdict(fit),
         versions=manifest.versions(),

@@ -65,6 +65,15 @@ class VictimCard:
         return title(self.task.name, self.algo)
 
     @property
+    def effect_correlation(self) -> float | None:
+        """How well the learned Q-function knows what actions do; None if there is none.
+
+        Sidecars made before the effects were measured have the correlation with what exploration happened to gain.
+        """
+        fit = self.fit or {}
+        return fit.get("effect_correlation", fit.get("action_correlation"))
+
+    @property
     def steps(self) -> int:
         """Environment steps that each seed was trained for; of the longest, if they differ."""
         return int(max(curve.steps[-1] for curve in self.curves))

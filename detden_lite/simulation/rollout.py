@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from detden_lite.core.arguments import check_kind
+from detden_lite.core.arguments import check_between, check_kind
 from detden_lite.core.random_streams import RandomStreams
 from detden_lite.core.tasks import Task
 from detden_lite.core.types import Attack, Defense, Episodes, Timing, World
@@ -28,6 +28,7 @@ def rollout(
     timing: Timing | None = None,
     defense: Defense | None = None,
     action_noise: float | np.ndarray | Tensor = 0.0,
+    noise_rate: float = 1.0,
     steps: int | None = None,
     progress: str | None = None,
 ) -> Episodes:
@@ -43,6 +44,7 @@ def rollout(
             told it.
         action_noise: standard deviation of Gaussian noise on the actions, in units of half their range; a number, one
             for each episode ``[N]``, or one for each of their actions ``[N, action_dim]``.
+        noise_rate: the share of steps that have this noise, drawn for each episode and step.
         steps: the longest an episode may be; the task's horizon by default.
         progress: text of a progress bar, None for no bar.
 
@@ -50,9 +52,9 @@ def rollout(
         The episodes, step by step; see ``Episodes``.
 
     Raises:
-        ValueError: if the victim is of another task; if a seed, the noise or the steps are invalid; if attack, timing
-            or defence break their contract (``detden_lite.core.types``) before or at the first step; or if an action
-            is not finite.
+        ValueError: if the victim is of another task; if a seed, the noise, its rate or the steps are invalid; if
+            attack, timing or defence break their contract (``detden_lite.core.types``) before or at the first step; or
+            if an action is not finite.
 
     Example:
         >>> from detden_lite import Budget, OppositeAttack, get_task, load_victim, rollout
@@ -67,6 +69,7 @@ def rollout(
     guests.check_seeds(seeds)
     guests.check_horizon(steps)
     guests.check_guests(attack, timing, defense)
+    check_between(0, 1, noise_rate=noise_rate)
     noise_size = guests.check_noise(action_noise, len(seeds), task.action_dim)
     simulator = make_simulator(task.env_id, seeds)
     n = len(seeds)
@@ -112,8 +115,10 @@ def rollout(
             shown, alarm, score, denoised = verdict.obs, verdict.alarm, verdict.score, verdict.denoised
         action = victim(shown)
         if noise_size.any():
-            noisy = action + noise_size * half_range * exploration.normal(*action.shape)
-            action = noisy.clamp(victim.action_low, victim.action_high)
+            noise = noise_size * half_range * exploration.normal(*action.shape)
+            if noise_rate < 1:
+                noise *= exploration.uniform(n, 1) < noise_rate
+            action = (action + noise).clamp(victim.action_low, victim.action_high)
         if not torch.isfinite(action).all():  # MuJoCo itself would only write a warning and go on
             raise ValueError("an action is NaN or infinite: look for the first such number in what the policy saw")
         obs, reward, _ = simulator.step(action.numpy())

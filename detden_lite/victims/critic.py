@@ -1,6 +1,6 @@
 """Learning the Q-function that a PPO agent lacks, from clean episodes of its own (section 2.2 of the paper)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -13,12 +13,13 @@ from detden_lite.core.tasks import Task
 from detden_lite.core.types import Episodes
 from detden_lite.victims.victim import Victim
 
-SETTLED = 300  # steps: later rewards have a weight of less than 0.99 ** 300 = 0.05 in a discounted return
-
 
 @dataclass(frozen=True)
 class QRecipe:
-    """How Q is learned: regression on TD(lambda) targets, which are made anew from Q itself before every epoch.
+    """How Q is learned: single explored steps, and regression on what came of them until the next one.
+
+    ``noise`` is as large as what attacks do to actions: Q is right about no others. ``gamma`` is below the 0.99 of a
+    training: what one action does in the next twenty steps can be learned, and what it does in the next hundred hardly.
 
     Example:
         >>> from detden_lite import get_task
@@ -27,98 +28,76 @@ class QRecipe:
     """
 
     episodes: int = 256
+    noise: float = 0.8  # of an explored action, a standard deviation, in units of half the action range
+    noise_rate: float = 0.1  # the share of explored steps
+    weight: float = 5.0  # of an explored step in the loss, where another has 1
     net: int = 256
-    epochs: int = 30
-    batch: int = 1_024
-    learning_rate: float = 1e-3  # falls to zero along half a cosine
-    gamma: float = 0.99
-    lam: float = 0.9
+    epochs: int = 12
+    batch: int = 512
+    learning_rate: float = 2e-3  # falls to zero along half a cosine
+    gamma: float = 0.95
+    judged: int = 64  # episodes in which the effects of actions are measured
 
     def __post_init__(self) -> None:
-        check_whole(2, episodes=self.episodes)  # one to learn from and one to hold out
-        check_whole(1, net=self.net, epochs=self.epochs, batch=self.batch)
+        check_whole(1, episodes=self.episodes, net=self.net, epochs=self.epochs, batch=self.batch, judged=self.judged)
+        check_positive(noise=self.noise, noise_rate=self.noise_rate, weight=self.weight)
         check_positive(learning_rate=self.learning_rate)
-        check_between(0, 1, gamma=self.gamma, lam=self.lam)
+        check_between(0, 1, gamma=self.gamma, noise_rate=self.noise_rate)
 
     def sizes(self, task: Task) -> list[int]:
         """Layer sizes of the network, for ``mlp`` and ``Victim.with_critic``."""
         return [task.obs_dim + task.action_dim, self.net, self.net, 1]
 
 
-@dataclass(frozen=True)
-class Fit:
-    """How well Q predicts the discounted returns of held-out episodes.
-
-    ``explained_variance`` is 1 for a perfect prediction and 0 for a constant. ``action_correlation`` is that of
-    Q(o, a) - Q(o, pi(o)) with what a step of exploration gained or cost: above 0, Q knows which actions are worse.
-
-    Example:
-        >>> Fit(explained_variance=0.9, action_correlation=0.4, steps=1_000, episodes=8).action_correlation > 0.1
-        True
-    """
-
-    explained_variance: float
-    action_correlation: float
-    steps: int
-    episodes: int
-
-
-def policy_noise(victim: Victim) -> np.ndarray:
-    """The spread of a Gaussian policy's actions as exploration noise for ``rollout``, ``[1, action_dim]``.
-
-    Raises:
-        ValueError: if the policy is deterministic.
-    """
-    if victim.action_std is None:
-        raise ValueError("victim: its policy is deterministic and does not explore; TD3 has critics of its own")
-    return (2 * victim.action_std / (victim.action_high - victim.action_low)).reshape(1, -1).numpy()
-
-
 def learn_q(
     victim: Victim, task: Task, recipe: QRecipe, episodes: Episodes, horizon: int | None = None, seed: int = 0
-) -> tuple[nn.Sequential, Fit]:
-    """Learn Q(o, a) of a Gaussian policy from clean on-policy episodes; one in eight is held out for the fit.
+) -> nn.Sequential:
+    """Learn Q(o, a) of a policy without noise, from clean episodes with an explored step now and then.
 
     Args:
-        victim: a Gaussian policy.
+        victim: the policy.
         task: where it acts.
         recipe: the hyperparameters.
-        episodes: clean ones with the noise of ``policy_noise``: without the spread of the policy's own samples,
-            a ~ N(pi(o), Sigma), Q could not know what an action does.
+        episodes: ``rollout(..., action_noise=recipe.noise, noise_rate=recipe.noise_rate)``.
         horizon: the step at which these episodes were cut off; the task's by default.
         seed: of initialisation and order.
 
     Returns:
-        The network, for ``Victim.with_critic``, and its fit.
+        The network, for ``Victim.with_critic``.
 
     Raises:
-        ValueError: if the victim's policy is deterministic, or there are fewer than two episodes.
+        ValueError: if gamma is 1, or no step of the episodes was explored.
     """
-    policy_noise(victim)  # refuses a deterministic policy
     if recipe.gamma == 1:
         raise ValueError("gamma must be below 1 to learn Q, whose scale is 1 / (1 - gamma)")
-    if len(episodes.seeds) < 2:
-        raise ValueError("episodes: at least two are needed, one to learn from and one to hold out")
-    horizon = horizon or task.horizon
-    held_out = np.arange(len(episodes.seeds)) % 8 == 1
-    learned, kept = episodes.select(np.flatnonzero(~held_out)), episodes.select(np.flatnonzero(held_out))
+    mask = episodes.mask
+    obs, action = torch.from_numpy(episodes.obs[mask]), torch.from_numpy(episodes.action[mask])
+    own = victim(obs)
+    far = ((action - own).abs() > 1e-4 * (victim.action_high - victim.action_low)).any(-1)
+    if not far.any():
+        raise ValueError("episodes: no action was explored; roll them out with the recipe's noise and noise_rate")
+    explored = np.zeros_like(mask)
+    explored[mask] = far.numpy()
+    cut_off = episodes.lengths == (horizon or task.horizon)
+    scale = float(np.abs(episodes.reward[mask]).mean()) / (1 - recipe.gamma)
 
     torch.manual_seed(seed)
     net = mlp(recipe.sizes(task))
-    inputs, mask = _inputs(victim, learned), torch.from_numpy(learned.mask)
-    known = inputs[mask]
-    scale = float(np.abs(learned.reward[learned.mask]).mean()) / (1 - recipe.gamma)
+    inputs, quiet = victim.critic_input(obs, action), victim.critic_input(obs, own)
+    weights = torch.where(far, recipe.weight, 1.0)
+    weights /= weights.mean()
     optimizer = torch.optim.Adam(net.parameters(), lr=recipe.learning_rate)
-    batches = -(-len(known) // recipe.batch)
+    batches = -(-len(inputs) // recipe.batch)
     falling = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, recipe.epochs * batches)
+    value = np.zeros_like(episodes.reward)
     with tqdm(range(recipe.epochs), desc=f"Q-function of {task.name}", unit="epoch") as bar:
         for _ in bar:
-            q = _evaluate(net, inputs).numpy()
-            returns = lambda_returns(learned.reward / scale, q, learned.mask, horizon, recipe)
-            targets = torch.from_numpy(returns.astype(np.float32))[mask]
+            value[mask] = _evaluate(net, quiet).numpy()
+            found = explored_returns(episodes.reward / scale, value, explored, mask, cut_off, recipe.gamma)
+            targets = torch.from_numpy(found[mask].astype(np.float32))
             total = 0.0
-            for rows in torch.randperm(len(known)).split(recipe.batch):
-                loss = (net(known[rows]).squeeze(-1) - targets[rows]).square().mean()
+            for rows in torch.randperm(len(inputs)).split(recipe.batch):
+                loss = ((net(inputs[rows]).squeeze(-1) - targets[rows]).square() * weights[rows]).mean()
                 optimizer.zero_grad()
                 loss.backward()
                 optimizer.step()
@@ -128,59 +107,33 @@ def learn_q(
     with torch.no_grad():
         for parameter in net[-1].parameters():
             parameter.mul_(scale)
-    return net.requires_grad_(False), fit(net, victim, kept, horizon, recipe)
+    return net.requires_grad_(False)
 
 
-def lambda_returns(reward: np.ndarray, q: np.ndarray, mask: np.ndarray, horizon: int, recipe: QRecipe) -> np.ndarray:
-    """TD(lambda) targets of Q, ``[steps, N]``: G_t = r_t + gamma ((1 - lambda) Q_{t+1} + lambda G_{t+1}).
+def explored_returns(
+    reward: np.ndarray, value: np.ndarray, explored: np.ndarray, mask: np.ndarray, cut_off: np.ndarray, gamma: float
+) -> np.ndarray:
+    """Targets of Q, ``[steps, N]``: the discounted return up to the next explored step, and V(o) = Q(o, pi(o)) there.
 
-    After a fall the return is 0. An episode that was cut off at the horizon is continued with its last Q.
+    So the policy has done all that a target contains, except for the action whose target it is. After a fall the
+    return is 0. An episode that was cut off is continued with its last value.
 
     Args:
         reward: ``[steps, N]``.
-        q: Q of the observation and action of each step, ``[steps, N]``.
+        value: V of each observation, ``[steps, N]``.
+        explored: the action was another than the policy's, ``[steps, N]``.
         mask: the episode was still going, ``[steps, N]``.
-        horizon: the step at which episodes are cut off.
-        recipe: gamma and lambda.
+        cut_off: the episode would have gone on, ``[N]``.
+        gamma: the discount factor.
     """
     targets = np.zeros_like(reward)
-    cut_off = mask.sum(0) == horizon
-    following = bootstrap = np.where(cut_off, q[-1], 0.0)
+    following = np.where(cut_off, value[-1], 0.0)
     for t in reversed(range(len(reward))):
-        targets[t] = reward[t] + recipe.gamma * ((1 - recipe.lam) * bootstrap + recipe.lam * following)
-        targets[t] *= mask[t]
-        following, bootstrap = np.where(mask[t], targets[t], 0.0), np.where(mask[t], q[t], 0.0)
+        targets[t] = mask[t] * (reward[t] + gamma * following)
+        following = mask[t] * np.where(explored[t], value[t], targets[t])
     return targets
-
-
-def fit(net: nn.Module, victim: Victim, episodes: Episodes, horizon: int, recipe: QRecipe) -> Fit:
-    """Compare Q with the discounted returns that followed, where they are known: not shortly before the cut-off.
-
-    After the cut-off the last Q replaces the rest, which has little weight. Without it all returns would depend on the
-    time that is left, which an observation does not show.
-    """
-    q, quiet = (_evaluate(net, _inputs(victim, episodes, explored)).numpy() for explored in (True, False))
-    returns = lambda_returns(episodes.reward, q, episodes.mask, horizon, replace(recipe, lam=1.0))
-    ends_in_a_fall = episodes.lengths < horizon
-    left = horizon - np.arange(len(returns))[:, None]
-    usable = episodes.mask & (ends_in_a_fall | (left > min(SETTLED, horizon // 2)))
-    q, quiet, found = q[usable], quiet[usable], returns[usable]
-    predicted, gained = q - quiet, found - quiet
-    varied = predicted.std() > 0 and gained.std() > 0
-    return Fit(
-        explained_variance=float(1 - np.var(found - q) / np.var(found)) if np.var(found) > 0 else 0.0,
-        action_correlation=float(np.corrcoef(predicted, gained)[0, 1]) if varied else 0.0,
-        steps=int(usable.sum()),
-        episodes=len(episodes.seeds),
-    )
-
-
-def _inputs(victim: Victim, episodes: Episodes, explored: bool = True) -> Tensor:
-    obs = torch.from_numpy(episodes.obs)
-    action = torch.from_numpy(episodes.action) if explored else victim(obs)
-    return victim.critic_input(obs, action)
 
 
 @torch.no_grad()
 def _evaluate(net: nn.Module, inputs: Tensor) -> Tensor:
-    return torch.stack([net(row).squeeze(-1) for row in inputs])
+    return torch.cat([net(rows).squeeze(-1) for rows in inputs.split(4_096)])

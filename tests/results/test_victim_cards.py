@@ -1,6 +1,7 @@
 """The data cards of the victims, and the films of them."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import imageio_ffmpeg
@@ -47,7 +48,7 @@ def test_a_card_says_what_the_sidecar_says(tmp_path):
     assert card.estimate == estimate(card.returns) and list(card.returns) == list(range(10))
     assert [(curve.seed, list(curve.mean)) for curve in card.curves] == [(0, [1.0, 9.0]), (1, [2.0, 8.0, 4.0])]
     assert card.recipe == dict(net=16) and card.config["actor"] == [11, 16, 3] and "torch" in card.versions
-    assert card.fit is None
+    assert card.fit is None and card.effect_correlation is None
 
 
 def test_a_card_shows_the_returns_of_the_clean_record(tmp_path):
@@ -64,7 +65,9 @@ def test_a_card_has_the_fit_of_the_learned_critic(tmp_path):
     ship_victim(tmp_path, "ant", "ppo")
     critic = dict(fit=dict(explained_variance=0.5, action_correlation=0.1))
     manifest.write_json(tmp_path / "ant-ppo" / "critic.json", critic, tmp_path)
-    assert load_card("ant", "ppo", tmp_path).fit == critic["fit"]
+    card = load_card("ant", "ppo", tmp_path)
+    assert card.fit == critic["fit"] and card.effect_correlation == 0.1
+    assert replace(card, fit=dict(effect_correlation=0.4)).effect_correlation == 0.4
 
 
 def test_shipped_cards_load_in_the_order_of_the_table(tmp_path):

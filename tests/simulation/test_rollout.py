@@ -160,6 +160,17 @@ def test_action_noise_may_be_each_actions_own():
         assert np.abs(same.action).max() <= 1
 
 
+def test_action_noise_may_come_now_and_then():
+    victim = make_victim()
+    episodes = rollout(victim, HOPPER, range(100), action_noise=0.3, noise_rate=0.25, steps=4)
+    own = torch.stack([victim(torch.from_numpy(obs)) for obs in episodes.obs]).numpy()
+    explored = (np.abs(episodes.action - own) > 1e-4).any(-1)
+    assert explored.mean() == pytest.approx(0.25, abs=0.08)
+    assert 0 < explored[:, 0].sum() + explored[:, 1].sum() < 8  # each step and each episode by itself
+    never = rollout(victim, HOPPER, range(3), action_noise=0.3, noise_rate=0.0, steps=4)
+    assert np.array_equal(never.action, rollout(victim, HOPPER, range(3), steps=4).action)
+
+
 def test_exploration_noise_does_not_depend_on_other_episodes():
     row = np.array([[0.1, 0.2, 0.4]], np.float32)
     bare = dict(attack=None, timing=None, defense=None, steps=5, action_noise=row)
