@@ -28,7 +28,8 @@ def test_the_rows_are_those_that_the_recipe_adapts_to():
 
 
 def test_every_adaptive_attack_has_an_unaware_one_and_a_title():
-    assert {catalogue.CATALOGUE[attack].unaware for attack in catalogue.ADAPTIVE} == {*catalogue.FOUR, "offset", "director"}
+    unaware = {catalogue.CATALOGUE[attack].unaware for attack in catalogue.ADAPTIVE}
+    assert unaware == {*catalogue.FOUR, "offset", "director"}
     assert len({catalogue.TITLES[attack] for attack in catalogue.ADAPTIVE}) == len(catalogue.ADAPTIVE)
     assert catalogue.TITLES["adaptive-qfunction"] == "Q-function, adaptive"
 
