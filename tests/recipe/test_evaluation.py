@@ -143,7 +143,8 @@ def test_every_attack_that_knows_the_defence_can_be_run(victim, name):
     torch.manual_seed(0)
     planner = dict(horizon=2, population=4, iterations=1, elites=2)
     small = dict(steps=2, restarts=1, samples=2, fresh=2)
-    adversaries = {"adaptive-optimal": Victim([11, 11], gaussian=True)}
+    adversaries = {f"adaptive-{kind}": Victim([11, 11], gaussian=True) for kind in ("optimal", "offset")}
+    adversaries |= {"adaptive-director": Victim([11, 3], gaussian=True)}
     threat = replace(THREAT, planner=planner, adaptive=small, adversaries=adversaries)
     cell = Cell(name, defense="mine")
     record, episodes = run_cell(cell, HOPPER, victim, threat, make_defense(), seeds("report", 2), steps=3)
@@ -153,8 +154,10 @@ def test_every_attack_that_knows_the_defence_can_be_run(victim, name):
     kind, unaware = name.split("-")
     own = dict(text=dict(form="text", weight=1.0), appendix=dict(form="appendix", weight=1.0), adaptive=small)
     own |= dict(coupled=small | dict(pace=0.2), free=small | dict(population=32, elites=6))
-    assert record["settings"].get("adaptive") == (None if unaware == "optimal" else own[kind])
-    assert record["settings"].get("steps") == (None if unaware == "optimal" else THREAT.steps)
+    learned = unaware in ("optimal", "offset", "director")
+    assert record["settings"].get("adaptive") == (None if learned else own[kind])
+    climbed = dict(optimal=None, offset=None, director=5)  # its own steps
+    assert record["settings"].get("steps") == climbed.get(unaware, THREAT.steps)
 
 
 def test_without_a_defence_there_is_nothing_to_adapt_to(victim):

@@ -170,7 +170,7 @@ def test_the_graph_for_the_book_is_that_of_the_stages():
     assert set(graph) == set(jobs("tiny"))
     assert set(durations.RULES) - {"publish"} == set(graph) - {"all"}
     assert {("victim", "select"), ("select", "qfunction"), ("qfunction", "trajectories")} <= set(graph.edges)
-    assert {("adversary", "choose"), ("choose", "attacks"), ("linear", "attacks"), ("attacks", "table")} <= set(
+    assert {("linear", "adversary"), ("adversary", "choose"), ("choose", "attacks"), ("offset", "attacks")} <= set(
         graph.edges
     )
     assert {("adversary_defended", "choose_defended"), ("choose_defended", "adaptive"), ("adaptive", "table")} <= set(
@@ -243,7 +243,7 @@ def test_the_time_of_every_stage_is_measured(killed):
     spent = record["rows"]["hopper-ppo"]
     assert all(stage["wall_seconds"] > 0 for stage in spent.values())
     assert {name: stage["jobs"] for name, stage in spent.items()} == dict.fromkeys(spent, 1) | dict(
-        adversary=2, adversary_defended=2
+        adversary=4, adversary_defended=4
     )
 
 
@@ -257,6 +257,7 @@ def test_only_what_depends_on_a_lost_file_runs_again(killed):
         "converge_defended",
         "adversary_defended",
         "choose_defended",
+        "offset_defended",
         "evaluation",
         "ceilings",
         "adaptive",

@@ -38,8 +38,18 @@ from detden_lite.store import manifest, models, tensors
 from detden_lite.victims.victim import Victim
 
 ORDER = ["victim", "select", "collect", "augment", "detector", "denoiser"]
-ORDER += ["converge", "converge --defended", "timing", "adversary", "choose", "linear", "evaluate"]
-ADVERSARIES = ["adversary", "adversary-linear"]
+ORDER += [
+    "converge",
+    "converge --defended",
+    "timing",
+    "linear",
+    "offset",
+    "adversary",
+    "adversary --member 3",
+    "choose",
+]
+ORDER += ["evaluate"]
+ADVERSARIES = ["adversary", "adversary-linear", "adversary-offset", "director"]
 PPO_ORDER = [*ORDER[:2], "qfunction", *ORDER[2:]]
 
 
@@ -274,9 +284,14 @@ def test_without_a_snapshot_there_is_nothing_to_select(copy):
         ("adversary", [], "victim.safetensors is missing"),
         ("choose", ["victim.*"], "no snapshot of an adversary; run the adversary stage first"),
         ("linear", [], "victim.safetensors is missing"),
+        ("offset", [], "victim.safetensors is missing"),
         ("evaluate", ["victim.*"], "timing.json is missing"),
         ("evaluate", ["victim.*", "timing.json"], "adversaries: the linear one is missing; run its stage first"),
-        ("evaluate", ["victim.*", "timing.json", "adversary*"], f"denoiser-{MAIN}.safetensors is missing"),
+        (
+            "evaluate",
+            ["victim.*", "timing.json", "adversary*", "director.*"],
+            f"denoiser-{MAIN}.safetensors is missing",
+        ),
     ],
 )
 def test_a_stage_out_of_order_says_what_is_missing(tiny, tmp_path, stage, made, message):
@@ -439,7 +454,8 @@ def test_the_command_line_publishes_models_and_records_but_no_trajectories(tiny,
     shipped = {f"hopper-td3/{name}" for name in ("victim", "detector-diverse", f"denoiser-{MAIN}", *ADVERSARIES)}
     records = {f"results/{cell.record_name('hopper', 'td3')}.json" for cell in cells.table_cells(["none", MAIN])}
     expected = {f"{name}.{ending}" for name in shipped for ending in ("json", "safetensors")} | records
-    assert published - {".manifest.lock"} == expected | {"hopper-td3/timing.json", "manifest.json"}
+    tuned = {f"hopper-td3/{name}.json" for name in ("timing", "convergence", "convergence-defended")}
+    assert published - {".manifest.lock"} == expected | tuned | {"manifest.json"}
     models.load_defense("hopper", "td3", MAIN, tmp_path)
 
 
