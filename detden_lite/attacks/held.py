@@ -48,6 +48,15 @@ class HeldAttack(BallAttack, ABC):
 
     Raises:
         ValueError: if ``every`` is no whole number of at least 1, or missing where the offset is to drift.
+
+    Example:
+        >>> class Left(HeldAttack):  # always the same side of the ball
+        ...     def next(self, n, dim):
+        ...         return -torch.ones(dim)
+        >>> attack = Left(Budget(0.5))
+        >>> attack.reset([0])
+        >>> attack(torch.zeros(1, 2))
+        tensor([[-0.5000, -0.5000]])
     """
 
     def __init__(
