@@ -91,19 +91,10 @@ def _directed(kind: str) -> Arguments:
     return lambda threat, victim, task: dict(director=threat.adversary(kind), victim=victim, budget=threat.budget)
 
 
-def _held(kind: str) -> Arguments:
-    def arguments(threat: Threat, victim: Victim, task: Task) -> dict[str, object]:
-        import torch
-
-        return dict(offset=threat.adversary(kind)(torch.zeros(1, task.obs_dim))[0], budget=threat.budget)
-
-    return arguments
-
-
 _POLICY, _ADVERSARY = frozenset({"policy"}), frozenset({"adversary"})
 _CRITIC, _SIMULATOR = _POLICY | {"critic"}, _POLICY | {"simulator"}
 _OPPOSITE, _OPTIMAL = "opposite.OppositeAttack", "optimal.OptimalAttack"
-_OFFSET, _DIRECTOR = "held.OffsetAttack", "director.DirectorAttack"
+_DIRECTOR = "director.DirectorAttack"
 _ENTRIES = [
     AttackEntry("uniform", "uniform noise", "control", "noise.UniformNoise", frozenset(), _ball, "#E69F00"),
     AttackEntry("gaussian", "Gaussian noise", "control", "noise.GaussianNoise", frozenset(), _ball),
@@ -116,7 +107,7 @@ _ENTRIES = [
         "enchanting", "enchanting", "paper", "enchanting.EnchantingAttack", _SIMULATOR, _planned, "#1a1a1a", slow=True
     ),
     AttackEntry("linear", "linear adversary", "unaware", _OPTIMAL, _ADVERSARY, _learned("linear"), "#767676"),
-    AttackEntry("offset", "held offset", "unaware", _OFFSET, _ADVERSARY, _held("offset")),
+    AttackEntry("offset", "held offset", "unaware", _OPTIMAL, _ADVERSARY, _learned("offset")),
     AttackEntry("director", "director", "unaware", _DIRECTOR, _POLICY | _ADVERSARY, _directed("director")),
 ]
 
@@ -145,7 +136,7 @@ _ENTRIES += [
         slow=True, unaware="optimal",
     ),
     AttackEntry(
-        "adaptive-offset", "held offset, adaptive", "aware", _OFFSET, _ADVERSARY, _held("adaptive-offset"),
+        "adaptive-offset", "held offset, adaptive", "aware", _OPTIMAL, _ADVERSARY, _learned("adaptive-offset"),
         unaware="offset",
     ),
     AttackEntry(

@@ -45,12 +45,10 @@ class DirectorAttack(GradientAttack):
         self, director: Callable[[Tensor], Tensor] | None, victim: Victim, budget: Budget, steps: int = 5
     ) -> None:
         super().__init__(victim, budget, steps)
-        sizes = (victim.obs_dim, victim.action_dim)
-        found = tuple(
-            getattr(director, name, size) for name, size in zip(("obs_dim", "action_dim"), sizes, strict=True)
-        )
-        if found != sizes:
-            raise ValueError(f"director: it leads from {found[0]} numbers to {found[1]}, the victim from {sizes}")
+        seen, moved = (getattr(director, name, getattr(victim, name)) for name in ("obs_dim", "action_dim"))
+        if (seen, moved) != (victim.obs_dim, victim.action_dim):
+            own = f"{victim.obs_dim} to {victim.action_dim}"
+            raise ValueError(f"director: it leads from {seen} numbers to {moved}, the victim from {own}")
         self.director = director
 
     def objective(self, obs: Tensor, world: World | None = None) -> ActionObjective:

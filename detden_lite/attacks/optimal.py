@@ -37,10 +37,9 @@ class History:
         self.seen = torch.cat([obs, older], dim=1)
         return self.seen
 
-    def restart(self, i: int, obs: Tensor) -> Tensor:
-        """Begin a new episode in row i with this observation ``[obs_dim]``; gives the row."""
+    def restart(self, i: int, obs: Tensor) -> None:
+        """Begin a new episode in row i with this observation ``[obs_dim]``."""
         self.seen[i] = obs.repeat(self.k)
-        return self.seen[i]
 
 
 class OptimalAttack(BallAttack):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,10 +20,12 @@ from detden_lite.recipe.scales import Scale
 from detden_lite.simulation.rollout import rollout
 from detden_lite.store import manifest, models, tensors
 from detden_lite.training import resumable
-from detden_lite.training.recipes import AdversaryRecipe
+from detden_lite.training.adversary_recipe import AdversaryRecipe
+from detden_lite.training.warm_start import imitate
 from detden_lite.victims.victim import Victim
 
 if TYPE_CHECKING:
+    from sbx import PPO
     from stable_baselines3.common.vec_env import VecEnv
 
 SCREENING, SELECTION = 5, 32  # episodes of each snapshot
@@ -46,7 +47,6 @@ def train_member(run: Run[Scale], member: int, defended: bool = False) -> None:
     from stable_baselines3.common.vec_env import VecMonitor
 
     from detden_lite.training.adversary_world import AdversaryEnv
-    from detden_lite.training.warm_start import imitate
 
     grid = run.scale.adversaries
     if not 0 <= member < len(grid):
@@ -67,15 +67,16 @@ def train_member(run: Run[Scale], member: int, defended: bool = False) -> None:
     known: dict[str, object] = dict(c_vul=threat.c_vul) if recipe.timing == "vulnerable" else {}
     if defended:
         known |= dict(defense=MAIN, denoiser=manifest.promised(run.folder / f"denoiser-{MAIN}.safetensors", run.root))
-    prepare = None
     if recipe.warm:
-        linear = threat.adversary("linear")
-        known |= dict(linear=tensors.digest(linear.state_dict()))
-        seeds = episode_seeds.seeds("search", 16)
-        seen = rollout(
-            victim, run.task, seeds, attack=OptimalAttack(linear, run.budget), steps=run.scale.horizon
-        )  # fmt: skip
-        prepare = partial(imitate, teacher=linear, obs=seen.obs[seen.mask])
+        known |= dict(linear=tensors.digest(threat.adversary("linear").state_dict()))
+
+    def copy_linear(model: PPO) -> None:
+        linear, seeds = threat.adversary("linear"), episode_seeds.seeds("search", 16)
+        attack = OptimalAttack(linear, run.budget)
+        seen = rollout(victim, run.task, seeds, attack=attack, steps=run.scale.horizon)
+        imitate(model, linear, seen.obs[seen.mask])
+
+    prepare = copy_linear if recipe.warm else None
     resumable.train(run.task, recipe, member, folder, worlds, about(run) | known, prepare=prepare)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from detden_lite.attacks.noise import UniformNoise
+from detden_lite.attacks.held import CornerAttack
 from detden_lite.attacks.opposite import OppositeAttack
 from detden_lite.core.arguments import check_between
 from detden_lite.core.budget import Budget
@@ -35,13 +35,6 @@ class Fit:
     effect_correlation: float
     actions: int
     episodes: int
-
-
-class _Corner(UniformNoise):
-    """A random corner of the ball."""
-
-    def noisy(self, obs: Tensor) -> Tensor:
-        return obs + self.budget.epsilon * self.budget.scale * self.streams.normal(*obs.shape).sign()
 
 
 class _Once:
@@ -95,7 +88,7 @@ def judge_q(victim: Victim, task: Task, seeds: range, budget: Budget, gamma: flo
     share = np.random.default_rng(0).random(len(seeds))
     at = (share * np.minimum(clean.lengths, longest - steps + 1)).astype(int)
     opposite = [OppositeAttack(victim, budget, steps=3, seed=seed) for seed in range(2)]
-    attacks: list[OppositeAttack | _Corner] = [*opposite, _Corner(budget, seed=0), _Corner(budget, seed=1)]
+    attacks: list[OppositeAttack | CornerAttack] = [*opposite, *(CornerAttack(budget, seed=seed) for seed in range(2))]
     changed = [rollout(victim, task, seeds, attack=attack, timing=_Once(at), steps=longest) for attack in attacks]
 
     obs, q, returns = torch.from_numpy(clean.obs[at, rows]), np.zeros((5, len(seeds))), np.zeros((5, len(seeds)))

@@ -113,9 +113,8 @@ def search(
         ArtifactError: if there is no room for a snapshot.
     """
     folder, d = Path(folder), task.obs_dim
-    claim(folder, dict(task=task.name, seed=seed, **(about or {}), **asdict(recipe)))
-    snapshots, checkpoint = folder / "snapshots", folder / "search.safetensors"
-    snapshots.mkdir(exist_ok=True)
+    snapshots = claim(folder, dict(task=task.name, seed=seed, **(about or {}), **asdict(recipe)))
+    checkpoint = folder / "search.safetensors"
     adversary = Victim(**recipe.config(task))
     adversary.obs_mean.copy_(torch.from_numpy(clean.mean(0)))
     weight, bias = adversary.actor.parameters()

@@ -103,10 +103,8 @@ def search(
         ValueError: if ``folder`` holds another search.
         ArtifactError: if there is no room for a snapshot.
     """
-    folder, few = Path(folder), recipe.episodes
-    claim(folder, dict(task=task.name, seed=seed, **(about or {}), **asdict(recipe)))
-    snapshots = folder / "snapshots"
-    snapshots.mkdir(exist_ok=True)
+    few = recipe.episodes
+    snapshots = claim(Path(folder), dict(task=task.name, seed=seed, **(about or {}), **asdict(recipe)))
     adversary = Victim(**recipe.config(task))
     weight, bias = adversary.actor.parameters()
     weight.zero_()

@@ -5,9 +5,11 @@ from dataclasses import dataclass, replace
 
 from detden_lite.core.tasks import ALGORITHMS, SCALES, Task
 from detden_lite.defense.training import VAERecipe
+from detden_lite.recipe import attacker_grids
 from detden_lite.recipe.linear_search import LinearRecipe
 from detden_lite.recipe.offset_search import OffsetRecipe
-from detden_lite.training.recipes import AdversaryRecipe, PPORecipe, TD3Recipe
+from detden_lite.training.adversary_recipe import AdversaryRecipe
+from detden_lite.training.recipes import PPORecipe, TD3Recipe
 from detden_lite.victims.critic import QRecipe
 
 _PPO = PPORecipe(envs=32, rollout=64, batch=128)
@@ -38,49 +40,6 @@ TINY_VICTIMS: dict[str, TD3Recipe | PPORecipe] = {
     "td3": TD3Recipe(steps=1_000, segment=500, net=32, batch=32, buffer=1_000, learning_starts=200),
     "ppo": PPORecipe(steps=1_024, segment=512, net=32, envs=4, rollout=64, epochs=2),
 }
-
-# The planner of the enchanting attack where no sweep has chosen one; below, those of the sweep.
-PLANNER = dict(horizon=10, population=8, iterations=1, elites=2)
-
-# Ant, TD3, on 8 tuning episodes of 400 steps: one step ahead left -221, three -158, and ten -127 at ten times the cost.
-PLANNER_OF = {"ant": PLANNER | dict(horizon=1)}
-
-PLANNERS = tuple(
-    dict(horizon=horizon, population=population, iterations=iterations, elites=elites)
-    for population, iterations, elites in ((8, 1, 2), (32, 2, 6), (64, 4, 8))
-    for horizon in (1, 3, 10, 30)
-)
-
-# The attacked steps of an episode of the sweep: fewer where a plan costs several times as much.
-PLANNED_STEPS = {"ant": 50, "humanoid": 50}
-
-TINY_PLANNER = dict(horizon=3, population=8, iterations=1, elites=2)
-
-TINY_PLANNERS = (TINY_PLANNER, TINY_PLANNER | dict(horizon=5))
-
-# The grid of the optimal attack and of the director. The paper does not say how its adversary was trained; at the
-# paper's scale the grid is of ATLA's size.
-LITE_ADVERSARIES = (
-    AdversaryRecipe(),
-    AdversaryRecipe(learning_rate=3e-3),
-    AdversaryRecipe(timing="vulnerable"),
-    AdversaryRecipe(history=3),
-    AdversaryRecipe(warm=True, learning_rate=3e-4, log_std=-1.0),
-    AdversaryRecipe(director=True),
-    AdversaryRecipe(director=True, learning_rate=3e-3),
-)
-
-PAPER_ADVERSARIES = LITE_ADVERSARIES + tuple(
-    AdversaryRecipe(learning_rate=rate, timing=timing, clip=clip)
-    for rate in (3e-4, 1e-3, 3e-3)
-    for timing in ("always", "vulnerable")
-    for clip in (0.2, 0.4)
-)
-
-TINY_ADVERSARIES = tuple(
-    AdversaryRecipe(steps=1_024, segment=512, net=32, envs=4, epochs=2, **kind)
-    for kind in (dict(timing="vulnerable"), dict(history=2), dict(warm=True), dict(director=True))
-)
 
 
 @dataclass(frozen=True)
@@ -199,10 +158,10 @@ def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
             episodes=4,
             planned_episodes=2,
             adaptive=dict(steps=2, samples=2, fresh=2),
-            planner=TINY_PLANNER,
-            planners=TINY_PLANNERS,
+            planner=attacker_grids.TINY_PLANNER,
+            planners=attacker_grids.TINY_PLANNERS,
             planned_steps=25,
-            adversaries=TINY_ADVERSARIES,
+            adversaries=attacker_grids.TINY_ADVERSARIES,
             linear=LinearRecipe(generations=2, population=8, elites=4, episodes=1),
             offset=OffsetRecipe(candidates=8, episodes=1, finalists=2, rounds=1),
         )
@@ -217,10 +176,10 @@ def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
         planned_episodes=50,
         # Under Hopper's opposite attack 20 steps and 8 samples move the action by 0.71, and these few by 0.72.
         adaptive=dict(steps=10, samples=4) if name == "lite" else dict(steps=100, samples=8),
-        planner=PLANNER_OF.get(task.name, PLANNER),
-        planners=PLANNERS,
-        planned_steps=PLANNED_STEPS.get(task.name, 200),
-        adversaries=LITE_ADVERSARIES if name == "lite" else PAPER_ADVERSARIES,
+        planner=attacker_grids.PLANNER_OF.get(task.name, attacker_grids.PLANNER),
+        planners=attacker_grids.PLANNERS,
+        planned_steps=attacker_grids.PLANNED_STEPS.get(task.name, 200),
+        adversaries=attacker_grids.LITE_ADVERSARIES if name == "lite" else attacker_grids.PAPER_ADVERSARIES,
         linear=LinearRecipe(generations=40, population=128, elites=32, episodes=2),
         offset=OffsetRecipe(),
     )

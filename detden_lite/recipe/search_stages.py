@@ -7,6 +7,7 @@ from torch import Tensor
 
 from detden_lite.attacks.held import OffsetAttack
 from detden_lite.attacks.optimal import OptimalAttack
+from detden_lite.core.types import Attack, Defense
 from detden_lite.defense.variants import MAIN
 from detden_lite.recipe import episode_seeds, linear_search, offset_search
 from detden_lite.recipe.adversary_stages import about, store_best
@@ -15,6 +16,7 @@ from detden_lite.recipe.offset_search import OffsetRecipe
 from detden_lite.recipe.run import Run
 from detden_lite.recipe.scales import Scale
 from detden_lite.simulation.rollout import rollout
+from detden_lite.victims.victim import Victim
 
 
 def search_linear(run: Run[Scale], seed: int = 0) -> None:
@@ -29,12 +31,10 @@ def search_linear(run: Run[Scale], seed: int = 0) -> None:
     played = episode_seeds.seeds("search", normal + recipe.generations * recipe.episodes)[normal:]
 
     def measure(adversaries: LinearMaps, generation: int) -> Tensor:
-        """All members of the population play the same episodes."""
-        n, k = len(adversaries.maps), recipe.episodes
+        k = recipe.episodes
         rows = LinearMaps(adversaries.normalizer, adversaries.maps.repeat_interleave(k, 0))
-        episodes = list(played[generation * k : (generation + 1) * k]) * n
-        attacked = rollout(victim, run.task, episodes, attack=OptimalAttack(rows, run.budget), steps=run.scale.horizon)
-        return torch.from_numpy(attacked.returns.reshape(n, k).mean(1))
+        attack = OptimalAttack(rows, run.budget)
+        return _left(run, victim, attack, len(adversaries.maps), played[generation * k : (generation + 1) * k])
 
     folder = run.folder / "checkpoints" / "linear"
     linear_search.search(recipe, run.task, seed, folder, clean.obs[clean.mask], measure, about(run))
@@ -52,14 +52,22 @@ def search_offset(run: Run[Scale], seed: int = 0, defended: bool = False) -> Non
     victim, defense = run.victim(), run.defense(MAIN) if defended else None
 
     def measure(offsets: Tensor, numbers: range) -> Tensor:
-        """All offsets play the same episodes."""
-        k, n = len(offsets), len(numbers)
-        episodes = [*episode_seeds.seeds("search", numbers.stop)[numbers.start :]] * k
-        attack = OffsetAttack(offsets.repeat_interleave(n, 0), run.budget)
-        attacked = rollout(victim, run.task, episodes, attack=attack, defense=defense, steps=run.scale.horizon)
-        return torch.from_numpy(attacked.returns.reshape(k, n).mean(1))
+        episodes = episode_seeds.seeds("search", numbers.stop)[numbers.start :]
+        attack = OffsetAttack(offsets.repeat_interleave(len(episodes), 0), run.budget)
+        return _left(run, victim, attack, len(offsets), episodes, defense)
 
     name, known = ("defended-offset", dict(defense=MAIN)) if defended else ("offset", {})
     folder = run.folder / "checkpoints" / name
     offset_search.search(run.scale.offset, run.task, seed, folder, measure, run.budget.norm, about(run) | known)
     store_best(run, "adaptive-offset" if defended else "offset", {folder: OffsetRecipe}, ("always",), defense)
+
+
+def _left(
+    run: Run[Scale], victim: Victim, attack: Attack, n: int, seeds: range, defense: Defense | None = None
+) -> Tensor:
+    """The mean return against each of n candidates, ``[n]``, which all play the same episodes.
+
+    The attack has a row for each episode of the first candidate, then of the second, and so on.
+    """
+    played = rollout(victim, run.task, [*seeds] * n, attack=attack, defense=defense, steps=run.scale.horizon)
+    return torch.from_numpy(played.returns.reshape(n, len(seeds)).mean(1))

@@ -2,6 +2,7 @@
 
 import csv
 import io
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -38,7 +39,7 @@ def collect_records(root: Path) -> list[dict[str, str | float | None]]:
     lines = []
     for (row, _), found in victims.items():
         beaten = strength.beaten_by(found)
-        lines += [_line(row, record) | dict(beaten_by=" ".join(beaten.get(key, ()))) for key, record in found.items()]
+        lines += [_line(row, record, beaten.get(key, ())) for key, record in found.items()]
     return lines
 
 
@@ -53,9 +54,10 @@ def write_table(root: Path) -> Path:
     return path
 
 
-def _line(row: str, record: Record) -> dict[str, str | float | None]:
+def _line(row: str, record: Record, beaten: Sequence[str]) -> dict[str, str | float | None]:
     values = asdict(record.cell) | asdict(record.estimate) | asdict(record.detector)
     values |= dict(row=row, attack_rate=record.attack_rate, mae=record.denoiser_mae, mae_live=record.denoiser_mae_live)
     values |= dict(auroc=record.auroc, auroc_clean=record.auroc_clean)
     values |= dict(delay=record.delay and record.delay.mean, missed=record.delay and record.delay.missed)
-    return {column: values.get(column) for column in COLUMNS}
+    values |= dict(beaten_by=" ".join(beaten))
+    return {column: values[column] for column in COLUMNS}

@@ -69,6 +69,7 @@ class AdversaryEnv(VecEnv):
         self.victim, self.budget, self.timing, self.defense = victim, budget, timing or Always(), defense
         self.simulator, self.horizon = make_simulator(task.env_id, range(n)), steps or task.horizon
         self.history, self.director = History(history), director
+        self.follow = director.follow if director else partial(perturb, budget)
         everything = Box(-np.inf, np.inf, (history * task.obs_dim,), np.float32)
         actions = task.action_dim if director else task.obs_dim
         super().__init__(n, everything, Box(-1.0, 1.0, (actions,), np.float32))
@@ -109,8 +110,7 @@ class AdversaryEnv(VecEnv):
             ValueError: if an action of the victim is not finite.
         """
         true = torch.from_numpy(self.obs)
-        follow = self.director.follow if self.director else partial(perturb, self.budget)
-        shown = torch.where(self.timing(true)[:, None], follow(true, self.actions), true)
+        shown = torch.where(self.timing(true)[:, None], self.follow(true, self.actions), true)
         if self.defense is not None:
             shown = self.defense(shown, self.action).obs
         self.action = action = self.victim(shown)
@@ -126,7 +126,7 @@ class AdversaryEnv(VecEnv):
             obs[i] = self._begin(int(i), action)
             self.history.restart(int(i), torch.from_numpy(obs[i]))
         self.obs = obs
-        return seen.numpy().copy(), -reward, done, infos
+        return seen.numpy(), -reward, done, infos
 
     def _begin(self, i: int, action: Tensor) -> np.ndarray:
         """Begin a new episode in one world; the others go on. Its row of ``action`` becomes NaN."""

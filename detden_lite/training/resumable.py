@@ -52,9 +52,8 @@ def train(
     """
     os.environ.setdefault("XLA_FLAGS", XLA_FLAGS)
     folder = Path(folder)
-    claim(folder, dict(task=task.name, seed=seed, **(about or {}), **recipe.identity))
-    checkpoint, snapshots = folder / "checkpoint", folder / "snapshots"
-    snapshots.mkdir(exist_ok=True)
+    snapshots = claim(folder, dict(task=task.name, seed=seed, **(about or {}), **recipe.identity))
+    checkpoint = folder / "checkpoint"
     model: Any = recipe.start(worlds, seed)  # of the recipe's own kind
     done = checkpoints.load(model, checkpoint)
     if prepare is not None and not done:
@@ -79,8 +78,8 @@ def train(
     return sorted(snapshots.glob("*.safetensors"))
 
 
-def claim(folder: Path, description: Mapping[str, object]) -> None:
-    """Make a folder and write down what it is for.
+def claim(folder: Path, description: Mapping[str, object]) -> Path:
+    """Make the folder of a training or search, and write down what it is for; gives the folder of its snapshots.
 
     Raises:
         ValueError: if the folder holds another run.
@@ -94,3 +93,6 @@ def claim(folder: Path, description: Mapping[str, object]) -> None:
     except (json.JSONDecodeError, UnicodeDecodeError, RecursionError):
         raise ArtifactError(f"{recipe_file} is damaged; restore it, or remove {folder} to train anew") from None
     replace_file(recipe_file, json.dumps(description, indent=1).encode())
+    snapshots = folder / "snapshots"
+    snapshots.mkdir(exist_ok=True)
+    return snapshots

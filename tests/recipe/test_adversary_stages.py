@@ -20,8 +20,8 @@ from detden_lite.recipe.run import Run
 from detden_lite.simulation.rollout import rollout
 from detden_lite.store import manifest, models, tensors
 from detden_lite.training import checkpoints, resumable
+from detden_lite.training.adversary_recipe import AdversaryRecipe
 from detden_lite.training.adversary_world import AdversaryEnv
-from detden_lite.training.recipes import AdversaryRecipe
 from detden_lite.training.resumable import train
 from detden_lite.victims.victim import Victim
 

@@ -19,7 +19,8 @@ from safetensors.torch import load_file
 from detden_lite.core.files import ArtifactError, replace_file
 from detden_lite.core.tasks import get_task
 from detden_lite.training import checkpoints, resumable
-from detden_lite.training.recipes import AdversaryRecipe, PPORecipe, TD3Recipe
+from detden_lite.training.adversary_recipe import AdversaryRecipe
+from detden_lite.training.recipes import PPORecipe, TD3Recipe
 from detden_lite.training.worlds import task_worlds, train_victim
 from detden_lite.victims.victim import Victim
 

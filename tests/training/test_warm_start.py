@@ -3,8 +3,8 @@ from builders import BUDGET, HOPPER, make_victim
 from stable_baselines3.common.vec_env import VecMonitor
 
 from detden_lite.simulation.rollout import rollout
+from detden_lite.training.adversary_recipe import AdversaryRecipe
 from detden_lite.training.adversary_world import AdversaryEnv
-from detden_lite.training.recipes import AdversaryRecipe
 from detden_lite.training.warm_start import imitate
 from detden_lite.victims.victim import Victim
 
