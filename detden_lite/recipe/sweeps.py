@@ -124,7 +124,7 @@ def over_planners(
         fell = episodes.lengths < (steps or task.horizon)
         costs = dict(plans_per_second=speed, seconds=np.where(fell, lived, task.horizon).mean() / speed)
         rows.append(dict(settings, **costs, lived=lived.tolist(), **_of(episodes.returns)))
-    chosen = planners[_chosen(rows, CHEAPER * clean, affordable)]
+    chosen = planners[_chosen(rows, CHEAPER * abs(clean), affordable)]
     first = int(episode_seeds[0])
     return dict(chosen=dict(chosen), clean_return=clean, rows=rows, begin=begin, seeds=[first, len(episode_seeds)])
 

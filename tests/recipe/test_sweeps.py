@@ -9,7 +9,7 @@ from detden_lite.attacks.opposite import OppositeAttack
 from detden_lite.attacks.threat import Threat
 from detden_lite.attacks.timing import After
 from detden_lite.core.budget import Budget
-from detden_lite.core.tasks import SCALES
+from detden_lite.core.tasks import SCALES, get_task
 from detden_lite.recipe.cli import main
 from detden_lite.recipe.episode_seeds import SEEDS, seeds
 from detden_lite.recipe.run import Run
@@ -58,6 +58,12 @@ def test_an_episode_that_ends_is_not_charged_for_what_would_follow():
     (row,) = over_planners(HOPPER, victim, BUDGET, EPISODES, [settings], begin=0, steps=500)["rows"]
     assert max(row["lived"]) < 500
     assert row["seconds"] * row["plans_per_second"] == pytest.approx(np.mean(row["lived"]))
+
+
+def test_a_planner_is_chosen_even_if_clean_episodes_lose_reward():
+    task, settings = get_task("halfcheetah"), dict(horizon=1, population=4, iterations=1, elites=2)
+    found = over_planners(task, make_victim(task), BUDGET, EPISODES, [settings], begin=1, steps=20)
+    assert found["clean_return"] < 0 and found["chosen"] == settings
 
 
 @pytest.mark.parametrize(
