@@ -102,7 +102,7 @@ def over_planners(
         Ready for JSON: the arguments of the ``chosen`` planner, the mean ``clean_return`` of the same episodes, and a
         row for each planner, with the returns of all episodes, how many steps each lasted under attack, how many plans
         the planner makes in a second of CPU time, and the seconds that it takes for an episode: of those that did not
-        end during the sweep, up to the task's horizon.
+        end during the sweep, up to the task's horizon. Both are 0 if all episodes end before they are attacked.
 
     Example:
         >>> from detden_lite import Budget, get_task, load_victim, over_planners
@@ -120,9 +120,9 @@ def over_planners(
             steps=steps,
         )  # fmt: skip
         lived = (episodes.attacked & episodes.mask).sum(0)
-        speed = planner.plans / planner.seconds
+        each = planner.plans and planner.seconds / planner.plans
         fell = episodes.lengths < (steps or task.horizon)
-        costs = dict(plans_per_second=speed, seconds=np.where(fell, lived, task.horizon).mean() / speed)
+        costs = dict(plans_per_second=each and 1 / each, seconds=np.where(fell, lived, task.horizon).mean() * each)
         rows.append(dict(settings, **costs, lived=lived.tolist(), **_of(episodes.returns)))
     chosen = planners[_chosen(rows, CHEAPER * abs(clean), affordable)]
     first = int(episode_seeds[0])

@@ -60,6 +60,13 @@ def test_an_episode_that_ends_is_not_charged_for_what_would_follow():
     assert row["seconds"] * row["plans_per_second"] == pytest.approx(np.mean(row["lived"]))
 
 
+def test_planners_that_never_plan_cost_nothing():
+    settings = dict(horizon=1, population=4, iterations=1, elites=2)
+    found = over_planners(HOPPER, make_victim(seed=8), BUDGET, EPISODES, [settings], begin=5, steps=5)
+    (row,) = json.loads(json.dumps(found, allow_nan=False))["rows"]
+    assert row["lived"] == [0] * 4 and row["plans_per_second"] == row["seconds"] == 0
+
+
 def test_a_planner_is_chosen_even_if_clean_episodes_lose_reward():
     task, settings = get_task("halfcheetah"), dict(horizon=1, population=4, iterations=1, elites=2)
     found = over_planners(task, make_victim(task), BUDGET, EPISODES, [settings], begin=1, steps=20)
