@@ -102,7 +102,8 @@ def over_planners(
         Ready for JSON: the arguments of the ``chosen`` planner, the mean ``clean_return`` of the same episodes, and a
         row for each planner, with the returns of all episodes, how many steps each lasted under attack, how many plans
         the planner makes in a second of CPU time, and the seconds that it takes for an episode: of those that did not
-        end during the sweep, up to the task's horizon. Both are 0 if all episodes end before they are attacked.
+        end during the sweep, up to the task's horizon. Speed and seconds are 0 if every episode ends before
+        it is attacked.
 
     Example:
         >>> from detden_lite import Budget, get_task, load_victim, over_planners

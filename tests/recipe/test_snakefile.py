@@ -186,9 +186,10 @@ def files(folder: Path) -> dict[str, int]:
     return {name: path.stat().st_mtime_ns for name, path in found.items() if not apart.match(name)}
 
 
-def records_of(folder: Path) -> set[Path]:
+def records_of(folder: Path) -> set[str]:
     """The records that are whole, and in the manifest."""
-    return {path for path in folder.glob("results/*.json") if manifest.is_made(path, folder)}
+    found = folder.glob("results/*.json")
+    return {path.relative_to(folder).as_posix() for path in found if manifest.is_made(path, folder)}
 
 
 @pytest.fixture(scope="module")
@@ -204,12 +205,12 @@ def killed(tmp_path_factory) -> tuple[Path, dict[str, int]]:
     assert process.poll() is None, "it ended before there was a record"
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-    # What a job had written when it was killed before its end is removed and made again.
+    # What a job had written when it was killed before its end is removed and made again. So is a record that was killed
+    # after its file was written and before it was entered in the manifest.
     marked = {path.name for path in (folder / ".snakemake" / "incomplete").rglob("*")}
-    had = {name: t for name, t in files(folder).items() if urlsafe_b64encode(name.encode()).decode() not in marked}
-    # A record that the manifest does not have yet was cut off between the two, and is made again, too.
-    recorded = records_of(folder)
-    had = {name: t for name, t in had.items() if not re.match(r"results/.+json$", name) or folder / name in recorded}
+    unentered = {path.relative_to(folder).as_posix() for path in folder.glob("results/*.json")} - records_of(folder)
+    again = {name for name in files(folder) if urlsafe_b64encode(name.encode()).decode() in marked} | unentered
+    had = {name: written for name, written in files(folder).items() if name not in again}
     run(folder, "--unlock", *arguments[2:])
     run(folder, *arguments)
     return folder, had
