@@ -91,6 +91,7 @@ _FACE = {
 _MODULES = (
     "attacks.catalogue", "recipe.sanity", "theory.bound", "results.adaptive_attacks", "results.bare_victims",
     "results.defended_victims", "results.paper", "results.published", "results.strength", "results.victim_cards",
+    "results.adversary_cards",
     "looking.figures", "looking.films", "defense.variants", "recipe.bound_along_training", "recipe.latent_noise",
 )  # fmt: skip
 _HOME = {name: module for module, names in _FACE.items() for name in names.split()}

@@ -110,6 +110,7 @@ from detden_lite.recipe.sweeps import over_sizes as over_sizes
 from detden_lite.recipe.task_from_env import task_of as task_of
 from detden_lite.recipe.trajectories import load_trajectories as load_trajectories
 from detden_lite.results import adaptive_attacks as adaptive_attacks
+from detden_lite.results import adversary_cards as adversary_cards
 from detden_lite.results import bare_victims as bare_victims
 from detden_lite.results import defended_victims as defended_victims
 from detden_lite.results import paper as paper

@@ -36,6 +36,7 @@ class Threat:
     rate_third: float | None = None  # how often it strikes: the rate of its control
     planner: Mapping[str, int] = field(default_factory=dict)  # arguments of ``CEMPlanner``
     adversaries: Mapping[str, Victim] = field(default_factory=dict)  # by kind, see ``models.load_adversary``
+    learned: Mapping[str, Mapping[str, int]] = field(default_factory=dict)  # what each cost to learn, for the records
     adaptive: Mapping[str, int] = field(default_factory=dict)  # arguments of ``AdaptiveAttack``, for its variants too
 
     def __post_init__(self) -> None:

@@ -64,6 +64,8 @@ def run_cell(
         victim, task, episode_seeds, attack=attack, timing=timing, defense=defense, steps=steps, progress=progress
     )
     settings: dict[str, object] = dict(epsilon=threat.budget.epsilon, norm=str(threat.budget.norm))
+    if cell.attack in threat.learned:
+        settings["learned"] = dict(threat.learned[cell.attack])
     if isinstance(attack, InformedAttack):
         settings["adaptive"] = attack.settings
         attack = attack.attack

@@ -15,6 +15,7 @@ from detden_lite.core.types import Attack
 from detden_lite.defense.pipeline import DetectAndDenoise
 from detden_lite.defense.variants import PARTS
 from detden_lite.recipe.scales import DefenseScale, Scale, get_scale
+from detden_lite.results.adversary_cards import load_adversary_card
 from detden_lite.store import manifest, models, tensors
 from detden_lite.victims.victim import Victim
 
@@ -101,10 +102,12 @@ class Run(Generic[Sizes]):
             for kind in models.ADVERSARIES
             if models.adversary_path(*row, kind, self.root).exists()
         }
+        learned = {kind: load_adversary_card(*row, kind, self.root).budget for kind in adversaries}
         third = tuned.get("third", {})  # which older files lack
         return replace(
             self.untimed_threat, c_vul=tuned["c_vul"], rate=tuned["attack_rate"], c_third=third.get("c_vul"),
             rate_third=third.get("attack_rate"), planner=self._planner(), adversaries=adversaries,
+            learned=learned,
         )  # fmt: skip
 
     def _planner(self: "Run[Scale]") -> Mapping[str, int]:

@@ -131,9 +131,10 @@ def test_a_learned_adversary_must_be_given_to_attack(victim, name):
         run(victim, Cell(name))
     torch.manual_seed(0)
     adversary = Victim([11, 11], gaussian=True)
-    threat = replace(THREAT, adversaries={name: adversary})
+    cost = dict(members=6, environment_steps=5_120_000)
+    threat = replace(THREAT, adversaries={name: adversary}, learned={name: cost, "other": dict(members=1)})
     record, episodes = run_cell(Cell(name), HOPPER, victim, threat, None, seeds("report", 4), steps=10)
-    assert record["settings"] == dict(epsilon=0.075, norm="inf") and record["attack_rate"] == 1
+    assert record["settings"] == dict(epsilon=0.075, norm="inf", learned=cost) and record["attack_rate"] == 1
     obs = torch.from_numpy(episodes.obs[0])
     assert torch.allclose(torch.from_numpy(episodes.perturbed[0]), obs + 0.075 * adversary(obs), atol=1e-6)
 
