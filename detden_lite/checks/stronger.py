@@ -129,3 +129,121 @@ def check_adversary_step(adversary_step: Callable[..., Tensor]) -> None:
     compare(call, adversary_step(output.clone(), obs.clone(), struck, policy, world, epsilon), right, mistakes)
     assert len(seen) == 1, f"the policy was asked {len(seen)} times: in a step it acts once"
     print("Right. To a learner this is an ordinary environment, whose actions are perturbations.")
+
+
+def check_director_step(director_step: Callable[..., Tensor]) -> None:
+    """``director_step(direction, obs, struck, follow, policy, world)`` is the director's reward, ``[N]``."""
+
+    def follow(obs: Tensor, direction: Tensor) -> Tensor:
+        assert obs.shape == (3, 2) and direction.shape == (3, 1), (
+            f"follow was given {tuple(obs.shape)} and {tuple(direction.shape)}: give it obs first, then direction"
+        )
+        return obs + 0.1 * direction
+
+    def policy(obs: Tensor) -> Tensor:
+        return obs.sum(-1, keepdim=True)
+
+    def world(action: Tensor) -> Tensor:
+        assert action.shape == (3, 1), (
+            f"the world is given an action of shape {tuple(action.shape)}; the robot's actions are the policy's"
+        )
+        return (10 * action + action**2).squeeze(-1)
+
+    obs = torch.tensor([[1.0, 2.0], [0.0, 1.0], [3.0, -1.0]])
+    direction = torch.tensor([[0.5], [-1.0], [-0.25]])
+    struck = torch.tensor([True, False, True])
+    perturbed = obs + 0.1 * direction
+    shown = torch.where(struck[:, None], perturbed, obs)
+    right, moved = -world(policy(shown)), policy(shown) - policy(obs)
+    mistakes = {
+        "The director's reward is minus the robot's: change the sign": -right,
+        "A director does not move the robot: only the policy acts, on the observation that follow makes": (
+            -world(direction)
+        ),
+        "A director cannot add to the action. They change what the policy is shown, with follow": (
+            -world(policy(obs) + direction)
+        ),
+        "That is how far the action moves along the direction. Follow maximises it; it is no reward": (
+            (moved * direction).sum(-1)
+        ),
+        "That is how far the action moves: a large change need not be harmful": moved.norm(dim=-1),
+        "That is how much the robot loses in this step. The director is paid the robot's reward, negated": (
+            world(policy(obs)) - world(policy(shown))
+        ),
+        "Where struck is False, the policy is shown obs": -world(policy(perturbed)),
+        "struck is inverted: the perturbation belongs where it is True": (
+            -world(policy(torch.where(struck[:, None], obs, perturbed)))
+        ),
+        "The policy is always shown obs: nothing is attacked": -world(policy(obs)),
+    }
+    call = "director_step(direction, obs, struck, follow, policy, world)"
+    got = director_step(direction.clone(), obs.clone(), struck, follow, policy, world)
+    compare(call, got, right, mistakes)
+    print("Right. The director's actions are directions, and the perturbation is a part of their world.")
+
+
+def check_added_change(added_change: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> None:
+    """``added_change(obs, perturbed)`` is the largest change that an attack adds from step to step, ``[T - 1, N]``."""
+    generator = np.random.default_rng(0)
+    obs = generator.normal(size=(5, 3, 4)).cumsum(axis=0)
+    delta = generator.uniform(-0.1, 0.1, size=obs.shape)
+    perturbed = obs + delta
+
+    def change(seen: np.ndarray) -> np.ndarray:
+        return np.abs(np.diff(seen, axis=0))
+
+    right = change(delta).max(-1)
+    mistakes = {
+        "That is the whole change from step to step; subtract what the robot did itself": change(perturbed).max(-1),
+        "That is the size of the perturbation. A detector of changes compares each step with the one before": (
+            np.abs(delta[1:]).max(-1)
+        ),
+        "That is the size of the perturbation one step before; compare each step with the one before": (
+            np.abs(delta[:-1]).max(-1)
+        ),
+        "Subtract the changes first, coordinate by coordinate, and take their largest size then": (
+            change(perturbed).max(-1) - change(obs).max(-1)
+        ),
+        "Take abs() before the maximum: a change may have either sign": np.diff(delta, axis=0).max(-1),
+        "The sign is turned: take abs() before the maximum": np.diff(-delta, axis=0).max(-1),
+        "That is the mean over the coordinates; take the largest": change(delta).mean(-1),
+        "That is the sum over the coordinates; take the largest": change(delta).sum(-1),
+        "That is the smallest of the coordinates; take the largest": change(delta).min(-1),
+    }
+    call = "added_change(obs, perturbed)"
+    got = array(call, added_change(obs.copy(), perturbed.copy()))
+    assert got.shape != (5, 3), f"{call} has a row for each step: five steps have four changes, so the shape is (4, 3)"
+    compare(call, got, right, mistakes)
+    held = added_change(obs, obs + 0.1 * np.array([1, -1, 1, 1]))
+    compare("added_change of an offset that is held", held, np.zeros((4, 3)))
+    print("Right. It is zero where the perturbation stays as it is, however large it is.")
+
+
+def check_held_corner(held_corner: Callable[[float, int, np.random.Generator], Callable]) -> None:
+    """``held_corner(epsilon, obs_dim, rng)`` is an attack for one episode: it maps obs ``[obs_dim]`` to perturbed."""
+
+    def episode(seed: int) -> np.ndarray:
+        attack = held_corner(0.5, 11, np.random.default_rng(seed))
+        assert callable(attack), (
+            f"held_corner(0.5, 11, rng) gives a {type(attack).__name__}; return the function attack"
+        )
+        seen = np.arange(33.0).reshape(3, 11)
+        return np.stack([array("attack(obs)", attack(row.copy())) - row for row in seen])
+
+    one, again, other = episode(1), episode(1), episode(2)
+    size = np.abs(one)
+    assert np.isfinite(one).all() and (size <= 0.5 + 1e-6).all(), (
+        f"attack(obs) changes an observation by {size.max():g}, and the ball has radius 0.5: give obs plus the corner"
+    )
+    at_border = float(np.isclose(size, 0.5).mean())
+    assert at_border == 1, (
+        f"only {at_border:.0%} of the coordinates are changed by epsilon: in a corner each of them is, with either sign"
+    )
+    assert np.allclose(one, one[:1]), (
+        "the corner is another one at the next step. That is noise: draw it before attack is defined, once an episode"
+    )
+    assert np.allclose(one, again), "two generators with the same seed should give the same corner: draw it with rng"
+    assert not np.allclose(one, other), "two episodes have the same corner: draw it with rng, for each episode anew"
+    one_sided = [abs(episode(seed)[0].sum()) == 0.5 * 11 for seed in range(4)]
+    assert not all(one_sided), "all coordinates are changed to the same side: draw a sign for each of them"
+    print("Right. The corner is drawn once, before the episode, and is the same at every step.")

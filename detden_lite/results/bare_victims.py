@@ -6,6 +6,7 @@ import numpy as np
 
 from detden_lite.attacks import catalogue
 from detden_lite.core.estimates import Estimate, estimate
+from detden_lite.core.tasks import get_task
 from detden_lite.results import cells, records
 from detden_lite.results.records import Record
 from detden_lite.store import manifest
@@ -75,6 +76,16 @@ def failed(adaptive: Record, plain: Record) -> bool:
 def share(record: Record, clean: Record) -> float:
     """The mean return of a record as a part of the clean one; below 0 where the return is."""
     return record.estimate.mean / clean.estimate.mean
+
+
+def fallen(record: Record) -> float:
+    """The part of the episodes that ended before the task's horizon: in MuJoCo's tasks, because the robot fell.
+
+    Example:
+        >>> fallen(load_bare("hopper", "td3")[UNATTACKED])
+        0.0
+    """
+    return float(np.mean(np.less(record.lengths, get_task(record.task).horizon)))
 
 
 def strikes(record: Record) -> float:

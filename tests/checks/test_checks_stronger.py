@@ -118,3 +118,111 @@ class TestAdversaryStep:
     def test_a_mistake_is_explained(self, wrong, hint):
         with pytest.raises(AssertionError, match=hint):
             stronger.check_adversary_step(wrong)
+
+
+def directed(pay=lambda world, action, meant: -world(action), where=lambda struck: struck):
+    def director_step(direction, obs, struck, follow, policy, world):
+        shown = torch.where(where(struck)[:, None], follow(obs, direction), obs)
+        return pay(world, policy(shown), policy(obs))
+
+    return director_step
+
+
+class TestDirectorStep:
+    def test_the_solution_passes(self):
+        stronger.check_director_step(directed())
+
+    @pytest.mark.parametrize(
+        "wrong, hint",
+        [
+            (directed(lambda world, action, meant: world(action)), "minus the robot's"),
+            (lambda d, obs, struck, follow, policy, world: -world(d), "does not move the robot"),
+            (lambda d, obs, struck, follow, policy, world: -world(policy(obs) + d), "cannot add to the action"),
+            (
+                lambda d, obs, struck, follow, policy, world: (
+                    (policy(torch.where(struck[:, None], follow(obs, d), obs)) - policy(obs)) * d
+                ).sum(-1),
+                "Follow maximises it",
+            ),
+            (directed(lambda world, action, meant: (action - meant).norm(dim=-1)), "need not be harmful"),
+            (directed(lambda world, action, meant: world(meant) - world(action)), "loses in this step"),
+            (directed(where=torch.ones_like), "Where struck is False"),
+            (directed(where=lambda struck: ~struck), "struck is inverted"),
+            (directed(where=torch.zeros_like), "nothing is attacked"),
+            (lambda d, obs, struck, follow, policy, world: -world(policy(follow(d, obs))), "give it obs first"),
+            (lambda d, obs, struck, follow, policy, world: -world(follow(obs, d)), "the policy's"),
+        ],
+        ids=["sign", "acts", "adds", "along", "change", "loss", "always", "inverse", "never", "swapped", "no policy"],
+    )  # fmt: skip
+    def test_a_mistake_is_explained(self, wrong, hint):
+        with pytest.raises(AssertionError, match=hint):
+            stronger.check_director_step(wrong)
+
+
+def changes(obs, perturbed):
+    return np.diff(perturbed - obs, axis=0)
+
+
+class TestAddedChange:
+    def test_the_solution_passes(self):
+        stronger.check_added_change(lambda o, x: np.abs(changes(o, x)).max(-1))
+
+    @pytest.mark.parametrize(
+        "wrong, hint",
+        [
+            (lambda o, x: np.abs(np.diff(x, axis=0)).max(-1), "what the robot did itself"),
+            (lambda o, x: np.abs(x - o)[1:].max(-1), "size of the perturbation. A detector"),
+            (lambda o, x: np.abs(x - o)[:-1].max(-1), "one step before"),
+            (
+                lambda o, x: np.abs(np.diff(x, axis=0)).max(-1) - np.abs(np.diff(o, axis=0)).max(-1),
+                "coordinate by coordinate",
+            ),
+            (lambda o, x: changes(o, x).max(-1), "either sign"),
+            (lambda o, x: changes(x, o).max(-1), "sign is turned"),
+            (lambda o, x: np.abs(changes(o, x)).mean(-1), "mean over the coordinates"),
+            (lambda o, x: np.abs(changes(o, x)).sum(-1), "sum over the coordinates"),
+            (lambda o, x: np.abs(changes(o, x)).min(-1), "the smallest"),
+            (lambda o, x: np.abs(x - o).max(-1), "four changes"),
+            (lambda o, x: np.abs(changes(o, x)).max(), "shape"),
+        ],
+        ids=["whole", "size", "size before", "late", "signed", "turned", "mean", "sum", "min", "rows", "one number"],
+    )
+    def test_a_mistake_is_explained(self, wrong, hint):
+        with pytest.raises(AssertionError, match=hint):
+            stronger.check_added_change(wrong)
+
+
+def corner(draw=lambda epsilon, d, rng: epsilon * rng.choice([-1, 1], d)):
+    def held_corner(epsilon, obs_dim, rng):
+        offset = draw(epsilon, obs_dim, rng)
+        return lambda obs: obs + offset
+
+    return held_corner
+
+
+def drawn_anew(epsilon, obs_dim, rng):
+    return lambda obs: obs + epsilon * rng.choice([-1, 1], obs_dim)
+
+
+class TestHeldCorner:
+    def test_the_solution_passes(self):
+        stronger.check_held_corner(corner())
+
+    @pytest.mark.parametrize(
+        "wrong, hint",
+        [
+            (drawn_anew, "That is noise"),
+            (lambda e, d, rng: e * rng.choice([-1, 1], d), "return the function attack"),
+            (lambda e, d, rng: lambda obs: e * rng.choice([-1, 1], d), "obs plus the corner"),
+            (corner(lambda e, d, rng: rng.choice([-1, 1], d)), "radius 0.5"),
+            (corner(lambda e, d, rng: rng.uniform(-e, e, d)), "in a corner each of them is"),
+            (corner(lambda e, d, rng: e * np.random.default_rng(3).choice([-1, 1], d)), "two episodes have"),
+            (corner(lambda e, d, rng: e * np.random.default_rng().choice([-1, 1], d)), "with the same seed"),
+            (corner(lambda e, d, rng: e * rng.choice([-1, 1])), "two episodes have|the same side"),
+            (lambda e, d, rng: lambda obs: None, "gives None"),
+        ],
+        ids=["anew", "no function", "no obs", "no epsilon", "inside", "same", "unseeded", "one sign", "None"],
+    )  # fmt: skip
+    def test_a_mistake_is_explained(self, wrong, hint):
+        with pytest.raises(AssertionError, match=hint):
+            stronger.check_held_corner(wrong)
