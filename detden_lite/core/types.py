@@ -82,7 +82,7 @@ class World:
 
 @dataclass(frozen=True)
 class Trajectories:
-    """Observation sequences of whole episodes; beyond an episode's length its row holds zeros.
+    """Observation sequences of whole episodes, with the actions or without; beyond an episode's length a row is 0.
 
     Example:
         >>> normal = Trajectories(np.zeros((2, 5, 11), np.float32), np.array([5, 3]))
@@ -92,6 +92,7 @@ class Trajectories:
 
     obs: np.ndarray  # [episodes, steps, obs_dim] float32
     lengths: np.ndarray  # [episodes]
+    action: np.ndarray | None = None  # what was done there, [episodes, steps, action_dim] float32
 
     @property
     def mask(self) -> np.ndarray:
@@ -103,7 +104,7 @@ class Trajectories:
 
     def select(self, index: slice | Sequence[int] | np.ndarray) -> Trajectories:
         """The trajectories at these positions (a slice or an array)."""
-        return Trajectories(self.obs[index], self.lengths[index])
+        return Trajectories(self.obs[index], self.lengths[index], None if self.action is None else self.action[index])
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,12 @@ def load_trajectories(run: Run[DefenseScale], folder: str) -> Trajectories:
         if int(path.stem) != start:
             missing = path.with_stem(f"{start:05d}")
             raise ArtifactError(f"{missing} is missing or too short; run the {_stage(folder)} stage again")
-    return Trajectories(np.concatenate([s.obs for s in read]), np.concatenate([s.lengths for s in read]))
+    action = [shard.action for shard in read if shard.action is not None]
+    return Trajectories(
+        np.concatenate([shard.obs for shard in read]),
+        np.concatenate([shard.lengths for shard in read]),
+        np.concatenate(action) if len(action) == len(read) else None,
+    )
 
 
 def shards(run: Run[DefenseScale], folder: str, n: int) -> list[tuple[Path, slice]]:
@@ -44,7 +49,8 @@ def shards(run: Run[DefenseScale], folder: str, n: int) -> list[tuple[Path, slic
 
 def save_shard(run: Run[DefenseScale], path: Path, shard: Trajectories) -> None:
     """Write one file of trajectories."""
-    state = dict(obs=torch.from_numpy(shard.obs), lengths=torch.from_numpy(shard.lengths))
+    arrays = dict(obs=shard.obs, lengths=shard.lengths, action=shard.action)
+    state = {name: torch.from_numpy(array) for name, array in arrays.items() if array is not None}
     tensors.save_tensors(path, state, dict(task=run.task.name, episodes=len(shard)), run.root)
 
 
@@ -55,7 +61,9 @@ def load_shard(run: Run[DefenseScale], path: Path) -> Trajectories:
         ArtifactError: if it is missing, altered, or holds no trajectories of the run's task.
     """
     state, _ = tensors.load_tensors(path, run.root)
-    shard = Trajectories(*(state.get(name, torch.empty(0)).numpy() for name in ("obs", "lengths")))
+    obs, lengths = (state.get(name, torch.empty(0)).numpy() for name in ("obs", "lengths"))
+    action = state["action"].numpy() if "action" in state else None  # those of attacked ones are those of the clean
+    shard = Trajectories(obs, lengths, action)
     if shard.obs.ndim != 3 or shard.obs.shape[-1] != run.task.obs_dim or shard.lengths.shape != shard.obs.shape[:1]:
         raise ArtifactError(
             f"{path} holds no trajectories of {run.task.name}; remove it and run the {_stage(path.parent.name)} stage "

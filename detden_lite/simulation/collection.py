@@ -19,6 +19,7 @@ def collect_normal(
     seeds: Sequence[int],
     action_noise: Sequence[float] = (0.0, 0.1, 0.2, 0.3),
     lockstep: int = 128,
+    noise_memory: Sequence[float] = (0.0,),
     steps: int | None = None,
 ) -> Trajectories:
     """D_normal: one clean episode for each seed.
@@ -30,10 +31,15 @@ def collect_normal(
         action_noise: exploration, in units of half the action range; the episodes take turns. (0.0,) is the paper's. A
             very regular policy shows its defence only one gait; harmless noise shows what lies beside it.
         lockstep: how many episodes run together.
+        noise_memory: for how many steps the exploration is correlated; the episodes take turns with these, too, each
+            memory with every noise. See ``rollout``.
         steps: the longest an episode may be; the task's horizon by default.
 
     Raises:
         ValueError: names the argument that is wrong.
+
+    Returns:
+        Observations and actions.
 
     Example:
         >>> from detden_lite import get_task, load_victim
@@ -45,14 +51,19 @@ def collect_normal(
     check_whole(1, lockstep=lockstep)
     if not len(action_noise):
         raise ValueError("action_noise is empty: give the noise of at least one episode, such as (0.0,)")
-    noise = guests.check_noise(np.resize(np.asarray(action_noise, dtype=np.float32), len(seeds)), len(seeds), 1)
+    if not len(noise_memory):
+        raise ValueError("noise_memory is empty: give that of at least one episode, such as (0.0,)")
+    n = len(seeds)
+    noise = guests.check_noise(np.resize(np.asarray(action_noise, dtype=np.float32), n), n, 1)
+    turns = np.repeat(np.asarray(noise_memory, dtype=np.float32), len(action_noise))
+    memory = guests.check_noise(np.resize(turns, n), n, 1, "noise_memory")
     steps = steps or task.horizon
-    obs = np.zeros((len(seeds), steps, task.obs_dim), np.float32)
-    lengths = np.zeros(len(seeds), np.int64)
-    for start in tqdm(range(0, len(seeds), lockstep), desc=f"normal trajectories of {task.name}", unit="batch"):
+    obs, action = (np.zeros((n, steps, size), np.float32) for size in (task.obs_dim, task.action_dim))
+    lengths = np.zeros(n, np.int64)
+    for start in tqdm(range(0, n, lockstep), desc=f"normal trajectories of {task.name}", unit="batch"):
         part = slice(start, start + lockstep)
-        episodes = rollout(victim, task, seeds[part], action_noise=noise[part], steps=steps)
-        seen = np.where(episodes.mask[..., None], episodes.obs, 0)
-        obs[part, : len(seen)] = seen.swapaxes(0, 1)
+        episodes = rollout(victim, task, seeds[part], action_noise=noise[part], noise_memory=memory[part], steps=steps)
+        for kept, found in ((obs, episodes.obs), (action, episodes.action)):
+            kept[part, : len(found)] = np.where(episodes.mask[..., None], found, 0).swapaxes(0, 1)
         lengths[part] = episodes.lengths
-    return Trajectories(obs, lengths)
+    return Trajectories(obs, lengths, action)

@@ -52,18 +52,19 @@ def check_horizon(steps: int | None, name: str = "steps") -> None:
         check_whole(1, **{name: steps})
 
 
-def check_noise(action_noise: float | np.ndarray | Tensor, n: int, action_dim: int) -> Tensor:
-    """The exploration noise as ``[1 or N, 1 or action_dim]``; it must be finite and at least 0."""
+def check_noise(noise: float | np.ndarray | Tensor, n: int, action_dim: int, name: str = "action_noise") -> Tensor:
+    """A number of the exploration noise as ``[1 or N, 1 or action_dim]``; it must be finite and at least 0."""
     try:
-        noise = torch.as_tensor(action_noise, dtype=torch.float32)
+        found = torch.as_tensor(noise, dtype=torch.float32)
     except (TypeError, ValueError, RuntimeError):
-        raise ValueError(f"action_noise must be a number or an array of numbers, not {action_noise!r}") from None
-    if not (noise.isfinite() & (noise >= 0)).all():
-        raise ValueError(f"action_noise must be finite and at least 0 everywhere, not {action_noise}")
-    noise = noise if noise.ndim == 2 else noise.reshape(-1, 1)
-    if noise.shape[0] not in (1, n) or noise.shape[1] not in (1, action_dim):
-        raise ValueError(f"action_noise must be one number, [{n}] or [{n}, {action_dim}], not {list(noise.shape)}")
-    return noise
+        raise ValueError(f"{name} must be a number or an array of numbers, not {noise!r}") from None
+    if not (found.isfinite() & (found >= 0)).all():
+        raise ValueError(f"{name} must be finite and at least 0 everywhere, not {noise}")
+    found = found if found.ndim == 2 else found.reshape(-1, 1)
+    if found.shape[0] not in (1, n) or found.shape[1] not in (1, action_dim):
+        shapes = f"[{n}]" if action_dim == 1 else f"[{n}] or [{n}, {action_dim}]"
+        raise ValueError(f"{name} must be one number, {shapes}, not {list(found.shape)}")
+    return found
 
 
 def check_timing(attacked: Tensor, n: int) -> None:

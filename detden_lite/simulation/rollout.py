@@ -29,6 +29,7 @@ def rollout(
     defense: Defense | None = None,
     action_noise: float | np.ndarray | Tensor = 0.0,
     noise_rate: float = 1.0,
+    noise_memory: float | np.ndarray | Tensor = 0.0,
     steps: int | None = None,
     progress: str | None = None,
 ) -> Episodes:
@@ -45,6 +46,8 @@ def rollout(
         action_noise: standard deviation of Gaussian noise on the actions, in units of half their range; a number, one
             for each episode ``[N]``, or one for each of their actions ``[N, action_dim]``.
         noise_rate: the share of steps that have this noise, drawn for each episode and step.
+        noise_memory: for how many steps the noise is correlated: its correlation falls to 1/e over them. A number, or
+            one for each episode; 0 for white noise.
         steps: the longest an episode may be; the task's horizon by default.
         progress: text of a progress bar, None for no bar.
 
@@ -71,6 +74,7 @@ def rollout(
     guests.check_guests(attack, timing, defense)
     check_between(0, 1, noise_rate=noise_rate)
     noise_size = guests.check_noise(action_noise, len(seeds), task.action_dim)
+    kept = torch.exp(-1 / guests.check_noise(noise_memory, len(seeds), 1, "noise_memory"))  # exp(-1 / 0) is 0
     simulator = make_simulator(task.env_id, seeds)
     n = len(seeds)
     for guest in (attack, timing, defense):
@@ -78,7 +82,7 @@ def rollout(
             guest.reset(simulator.seeds)
     needs = attack.needs if attack is not None else frozenset()
     reveal = getattr(defense, "reveal") if "truth" in getattr(defense, "needs", ()) else None  # noqa: B009 an oracle's
-    exploration = RandomStreams(1, simulator.seeds)
+    exploration, coloured = RandomStreams(1, simulator.seeds), None
     half_range = (victim.action_high - victim.action_low) / 2
 
     unchecked = attack is not None
@@ -115,7 +119,9 @@ def rollout(
             shown, alarm, score, denoised = verdict.obs, verdict.alarm, verdict.score, verdict.denoised
         action = victim(shown)
         if noise_size.any():
-            noise = noise_size * half_range * exploration.normal(*action.shape)
+            white = exploration.normal(*action.shape)
+            coloured = white if coloured is None else kept * coloured + (1 - kept.square()).sqrt() * white
+            noise = noise_size * half_range * coloured
             if noise_rate < 1:
                 noise *= exploration.uniform(n, 1) < noise_rate
             action = (action + noise).clamp(victim.action_low, victim.action_high)

@@ -39,13 +39,24 @@ def test_normal_trajectories_are_whole_clean_episodes(victim, normal):
     assert np.array_equal(normal.lengths, episodes.lengths) and len(set(normal.lengths)) > 1
     for i, length in enumerate(normal.lengths):
         assert np.array_equal(normal.obs[i, :length], episodes.obs[:length, i])
-        assert not normal.obs[i, length:].any()
+        assert np.array_equal(normal.action[i, :length], episodes.action[:length, i])
+        assert not normal.obs[i, length:].any() and not normal.action[i, length:].any()
     assert np.array_equal(normal.mask.sum(1), normal.lengths) and normal.mask[:, 0].all()
 
 
 def test_episodes_do_not_depend_on_how_many_run_together(victim, normal):
     again = collect_normal(victim, HOPPER, SEEDS, action_noise=(0.0, 0.3), lockstep=3, steps=STEPS)
     assert np.array_equal(again.lengths, normal.lengths) and np.allclose(again.obs, normal.obs, atol=1e-4)
+
+
+def test_episodes_take_turns_with_noise_and_memory(victim):
+    turns = dict(action_noise=(0.0, 0.3), noise_memory=(0.0, 5.0))
+    found = collect_normal(victim, HOPPER, SEEDS, steps=STEPS, **turns)
+    noise, memory = np.array([0, 0.3] * 3, np.float32), np.array([0, 0, 5, 5, 0, 0], np.float32)
+    expected = rollout(victim, HOPPER, SEEDS, action_noise=noise, noise_memory=memory, steps=STEPS)
+    assert np.allclose(found.action[3, :5], expected.action[:5, 3], atol=1e-5)
+    white = rollout(victim, HOPPER, SEEDS, action_noise=noise, steps=STEPS)
+    assert not np.allclose(found.action[3, :5], white.action[:5, 3], atol=1e-2)
 
 
 def test_the_first_exploration_is_the_papers_none(victim, normal):

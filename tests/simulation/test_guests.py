@@ -195,6 +195,8 @@ def test_a_victim_of_another_task_is_refused():
         (dict(seeds=[1.5]), "each of seeds must be"),
         (dict(action_noise=()), "action_noise is empty"),
         (dict(action_noise=(0.0, -0.1)), "action_noise must be"),
+        (dict(noise_memory=()), "noise_memory is empty"),
+        (dict(noise_memory=(-1.0,)), "noise_memory must be finite and at least 0"),
         (dict(steps=0), "steps must be"),
     ],
     ids=str,

@@ -171,6 +171,22 @@ def test_action_noise_may_come_now_and_then():
     assert np.array_equal(never.action, rollout(victim, HOPPER, range(3), steps=4).action)
 
 
+def test_action_noise_may_be_correlated():
+    """Its size is that of white noise, its correlation that of the memory; an episode without memory is as before."""
+    victim = make_victim(seed=8)
+    victim.action_low.fill_(-40), victim.action_high.fill_(40)  # no bound is near
+    memory = np.array([0, 4] * 100, np.float32)
+    episodes = rollout(victim, HOPPER, range(200), action_noise=0.005, noise_memory=memory, steps=12)
+    own = torch.stack([victim(torch.from_numpy(obs)) for obs in episodes.obs]).numpy()
+    noise = np.where(episodes.mask[..., None], episodes.action - own, np.nan) / 0.2
+    for rows, expected in ((slice(0, None, 2), 0.0), (slice(1, None, 2), np.exp(-1 / 4))):
+        one = noise[:, rows]
+        assert np.nanstd(one[-1]) == pytest.approx(1, abs=0.15)
+        assert np.nanmean(one[1:] * one[:-1]) == pytest.approx(expected, abs=0.1)
+    white = rollout(victim, HOPPER, range(200), action_noise=0.005, steps=12)
+    assert np.array_equal(white.action[:, ::2], episodes.action[:, ::2])
+
+
 def test_exploration_noise_does_not_depend_on_other_episodes():
     row = np.array([[0.1, 0.2, 0.4]], np.float32)
     bare = dict(attack=None, timing=None, defense=None, steps=5, action_noise=row)
