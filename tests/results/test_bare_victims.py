@@ -10,7 +10,7 @@ from detden_lite.core.files import ArtifactError
 from detden_lite.recipe.episode_seeds import SEEDS
 from detden_lite.recipe.evaluation import run_cell
 from detden_lite.results.adaptive_attacks import worst_on_record
-from detden_lite.results.bare_victims import CELLS, UNATTACKED, difference, failed, load_bare, share, strikes
+from detden_lite.results.bare_victims import CELLS, UNATTACKED, difference, failed, fallen, load_bare, share, strikes
 from detden_lite.results.cells import Cell
 from detden_lite.results.paper import ATTACKED, ROWS
 from detden_lite.results.paper import CLEAN as PAPER_CLEAN
@@ -92,6 +92,11 @@ def test_shipped_records_begin_with_the_first_report_episode(task, algo):
     records = load_bare(task, algo)
     assert {found["seeds"][0] for found in records.values()} <= {SEEDS["report"]}
     assert all(found["cell"]["defense"] == "none" and found["task"] == task for found in records.values())
+
+
+def test_an_episode_that_ends_early_has_fallen():
+    assert fallen(record([1.0, 2.0, 3.0, 4.0], lengths=[1000, 999, 1000, 20])) == 0.5
+    assert fallen(record([1.0], task="ant", lengths=[1000])) == 0
 
 
 def test_strikes_are_the_attacked_steps_of_an_episode():
