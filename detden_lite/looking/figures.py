@@ -29,14 +29,14 @@ from detden_lite.looking.palette import (
     cell_colour,
     use_style,
 )  # fmt: skip
-from detden_lite.looking.tables import table, whole
+from detden_lite.looking.tables import folded_table, table, whole
 from detden_lite.results.paper import CLEAN
 from detden_lite.results.victim_cards import VictimCard
 
 __all__ = [
     "ATTACK_COLOURS", "BLACK", "BLUE", "GREEN", "GREY", "ORANGE", "PALETTE", "PURPLE", "SKY", "STYLE", "TRACES",
-    "VERMILLION", "body", "cell_colour", "flags", "label", "learning_curves", "returns", "stage", "strip", "table",
-    "trace", "units", "use_style", "whole",
+    "VERMILLION", "body", "cell_colour", "flags", "folded_table", "label", "learning_curves", "returns", "stage",
+    "strip", "table", "trace", "units", "use_style", "whole",
 ]  # fmt: skip
 
 

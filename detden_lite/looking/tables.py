@@ -1,6 +1,6 @@
-"""HTML tables for the end of a notebook's cell."""
+"""Tables for the end of a notebook's cell: as HTML, and folded under a title as MyST Markdown."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from IPython.display import HTML
 
@@ -26,6 +26,28 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> HTML:
     body = "".join(line(row, "td") for row in rows)
     # The class tells themes that the output needs no light background on a dark page.
     return HTML(f'<table class="table dataframe"><thead>{line(columns, "th")}</thead><tbody>{body}</tbody></table>')
+
+
+def folded_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A table folded under its title, in MyST Markdown, for a cell of a page with ``markdown_format: myst``.
+
+    Args:
+        title: what is seen before it is opened.
+        columns: their titles.
+        rows: one entry for each column; shown as ``str`` gives them.
+
+    Example:
+        >>> print(folded_table("One", ["name", "value"], [["a", 1]]))
+        :::{dropdown} One
+        | name | value |
+        |---|---|
+        | a | 1 |
+        :::
+        <BLANKLINE>
+    """
+    lines = ["| " + " | ".join(map(str, row)) + " |" for row in (columns, *rows)]
+    body = "\n".join([lines[0], "|---" * len(columns) + "|", *lines[1:]])
+    return f":::{{dropdown}} {title}\n{body}\n:::\n"
 
 
 def whole(text: object) -> str:

@@ -15,7 +15,7 @@ from detden_lite.core.types import Attack
 from detden_lite.defense.pipeline import DetectAndDenoise
 from detden_lite.defense.variants import PARTS
 from detden_lite.recipe.scales import DefenseScale, Scale, get_scale
-from detden_lite.results.adversary_cards import load_adversary_card
+from detden_lite.results.adversary_cards import load_adversary_cards
 from detden_lite.store import manifest, models, tensors
 from detden_lite.victims.victim import Victim
 
@@ -97,17 +97,13 @@ class Run(Generic[Sizes]):
         """The attacker of the evaluations, with the tuned timings, and the planner and adversaries that are there."""
         tuned = manifest.read_json(self.folder / "timing.json", self.root)
         row = (self.task.name, self.algo)
-        adversaries = {
-            kind: models.load_adversary(*row, kind, self.root)
-            for kind in models.ADVERSARIES
-            if models.adversary_path(*row, kind, self.root).exists()
-        }
-        learned = {kind: load_adversary_card(*row, kind, self.root).budget for kind in adversaries}
+        cards = load_adversary_cards(*row, self.root)
         third = tuned.get("third", {})  # which older files lack
         return replace(
             self.untimed_threat, c_vul=tuned["c_vul"], rate=tuned["attack_rate"], c_third=third.get("c_vul"),
-            rate_third=third.get("attack_rate"), planner=self._planner(), adversaries=adversaries,
-            learned=learned,
+            rate_third=third.get("attack_rate"), planner=self._planner(),
+            adversaries={kind: models.load_adversary(*row, kind, self.root) for kind in cards},
+            learned={kind: card.budget for kind, card in cards.items()},
         )  # fmt: skip
 
     def _planner(self: "Run[Scale]") -> Mapping[str, int]:

@@ -15,22 +15,22 @@ class Member:
 
     Args:
         recipe: its hyperparameters, with its seed.
-        begins: mean return that the victim has against its first snapshot, in the screening episodes.
-        ends: the same against its last one.
+        steps: of its snapshots: environment steps of a training, rounds of a search.
+        mean: the mean return that the victim has against each snapshot, in the screening episodes.
         selection: the same against its best one, in the selection episodes; None in an older card.
         chosen: whether the adversary is a snapshot of it.
         obs_dim: how many numbers the victim observes.
 
     Example:
         >>> search = dict(generations=40, population=128, episodes=2)
-        >>> member = Member(search, begins=10.1, ends=5.1, selection=5.0, chosen=True, obs_dim=11)
-        >>> member.title, member.environment_steps, member.episodes
-        ('linear map, by search', 0, 10240)
+        >>> member = Member(search, steps=(1, 40), mean=(10.1, 5.1), selection=5.0, chosen=True, obs_dim=11)
+        >>> member.title, member.cost
+        ('linear map, by search', '10,240 episodes')
     """
 
     recipe: Mapping[str, Any]
-    begins: float
-    ends: float
+    steps: tuple[int, ...]
+    mean: tuple[float, ...]
     selection: float | None
     chosen: bool
     obs_dim: int
@@ -69,6 +69,11 @@ class Member:
             tried = recipe["candidates"] + 4 * recipe["finalists"] + recipe["rounds"] * turns
             return int(tried * recipe["episodes"])
         return 0
+
+    @property
+    def cost(self) -> str:
+        """What it cost, as a page says it."""
+        return f"{self.environment_steps:,} steps" if self.environment_steps else f"{self.episodes:,} episodes"
 
 
 @dataclass(frozen=True)
@@ -121,21 +126,33 @@ def load_adversary_card(task: str, algo: str, kind: str = "optimal", root: Path 
     path = adversary_path(task, algo, kind, root).with_suffix(".json")
     about = manifest.read_json(path, root)
     try:
-        return AdversaryCard(
-            kind=kind,
-            members=tuple(
-                Member(
-                    recipe=curve["recipe"],
-                    begins=curve["mean"][0],
-                    ends=curve["mean"][-1],
-                    selection=curve.get("selection"),
-                    chosen=curve["recipe"] == about["recipe"],
-                    obs_dim=about["config"]["actor"][-1] if "director" not in kind else about["config"]["actor"][0],
-                )
-                for curve in about["learning_curves"]
-            ),
-            selection_mean=about["selection_mean"],
-            clean_mean=about["clean_mean"],
+        victim_obs = about["config"]["actor"][0 if kind.endswith("director") else -1]
+        members = tuple(
+            Member(
+                recipe=curve["recipe"],
+                steps=tuple(curve["steps"]),
+                mean=tuple(curve["mean"]),
+                selection=curve.get("selection"),
+                chosen=curve["recipe"] == about["recipe"],
+                obs_dim=victim_obs,
+            )
+            for curve in about["learning_curves"]
         )
-    except (AttributeError, IndexError, KeyError, TypeError) as error:
+        if not all(member.mean for member in members):
+            raise ValueError("a training has no snapshot")
+        return AdversaryCard(kind, members, about["selection_mean"], about["clean_mean"])
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
         raise files.ArtifactError(f"{path} is no adversary's card ({error!r}); make it with its recipe") from None
+
+
+def load_adversary_cards(task: str, algo: str, root: Path = manifest.DATA) -> dict[str, AdversaryCard]:
+    """The cards of all adversaries of a victim that are there, by kind.
+
+    Example:
+        >>> "optimal" in load_adversary_cards("hopper", "td3")
+        True
+    """
+    from detden_lite.store.models import ADVERSARIES, adversary_path
+
+    there = [kind for kind in ADVERSARIES if adversary_path(task, algo, kind, root).exists()]
+    return {kind: load_adversary_card(task, algo, kind, root) for kind in there}

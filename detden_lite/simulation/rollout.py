@@ -75,6 +75,7 @@ def rollout(
     check_between(0, 1, noise_rate=noise_rate)
     noise_size = guests.check_noise(action_noise, len(seeds), task.action_dim)
     kept = torch.exp(-1 / guests.check_noise(noise_memory, len(seeds), 1, "noise_memory"))  # exp(-1 / 0) is 0
+    renewed = (1 - kept.square()).sqrt()  # so that correlated noise is as large as white noise
     simulator = make_simulator(task.env_id, seeds)
     n = len(seeds)
     for guest in (attack, timing, defense):
@@ -120,7 +121,7 @@ def rollout(
         action = victim(shown)
         if noise_size.any():
             white = exploration.normal(*action.shape)
-            coloured = white if coloured is None else kept * coloured + (1 - kept.square()).sqrt() * white
+            coloured = white if coloured is None else kept * coloured + renewed * white
             noise = noise_size * half_range * coloured
             if noise_rate < 1:
                 noise *= exploration.uniform(n, 1) < noise_rate

@@ -7,7 +7,7 @@ from detden_lite.core.files import ArtifactError
 from detden_lite.core.tasks import get_task
 from detden_lite.recipe import offset_search
 from detden_lite.recipe.offset_search import OffsetRecipe
-from detden_lite.results.adversary_cards import Member, load_adversary_card
+from detden_lite.results.adversary_cards import Member, load_adversary_card, load_adversary_cards
 from detden_lite.store import models
 
 HOPPER = get_task("hopper")
@@ -21,7 +21,7 @@ def ship(root, curves, kind="optimal", **about):
 
 
 def member(**recipe):
-    return Member(recipe, begins=2.0, ends=1.0, selection=None, chosen=False, obs_dim=11)
+    return Member(recipe, steps=(1, 2), mean=(2.0, 1.0), selection=None, chosen=False, obs_dim=11)
 
 
 def test_a_card_lists_every_member_and_sums_their_budgets(tmp_path):
@@ -32,11 +32,13 @@ def test_a_card_lists_every_member_and_sums_their_budgets(tmp_path):
     ]
     ship(tmp_path, curves)
     card = load_adversary_card("hopper", "td3", "optimal", tmp_path)
-    assert [(m.chosen, m.begins, m.ends, m.selection) for m in card.members] == [
-        (True, 9.0, 4.0, 5.0),
-        (False, 9.0, 6.0, None),
-        (False, 7.0, 7.0, 7.5),
+    assert [(m.chosen, m.mean, m.selection, m.cost) for m in card.members] == [
+        (True, (9.0, 4.0), 5.0, "1,024,000 steps"),
+        (False, (9.0, 6.0), None, "1,024,000 steps"),
+        (False, (7.0,), 7.5, "48 episodes"),
     ]
+    assert card.members[0].steps == (1, 2)
+    assert load_adversary_cards("hopper", "td3", tmp_path) == {"optimal": card}
     assert card.budget == dict(members=3, environment_steps=2_048_000, episodes=48)
     assert (card.selection_mean, card.clean_mean) == (5.0, 100.0)
 
