@@ -98,6 +98,11 @@ class AdversaryCard:
     clean_mean: float
 
     @property
+    def with_search(self) -> bool:
+        """Whether a search by black box is among the members."""
+        return any(member.episodes for member in self.members)
+
+    @property
     def budget(self) -> dict[str, int]:
         """What it cost to learn: members, steps of the environment, and episodes of searches."""
         total = dict(

@@ -39,7 +39,7 @@ def test_a_card_lists_every_member_and_sums_their_budgets(tmp_path):
     ]
     assert card.members[0].steps == (1, 2)
     assert load_adversary_cards("hopper", "td3", tmp_path) == {"optimal": card}
-    assert card.budget == dict(members=3, environment_steps=2_048_000, episodes=48)
+    assert card.budget == dict(members=3, environment_steps=2_048_000, episodes=48) and card.with_search
     assert (card.selection_mean, card.clean_mean) == (5.0, 100.0)
 
 
@@ -68,6 +68,12 @@ def test_the_episodes_of_an_offset_search_are_those_that_it_plays(recipe, tmp_pa
 
     offset_search.search(recipe, HOPPER, 0, tmp_path / "offset", measure)
     assert member(**vars(recipe)).episodes == played
+
+
+def test_trainings_alone_are_no_search(tmp_path):
+    ship(tmp_path, [dict(recipe=TRAINED, steps=[1], mean=[9.0])])
+    card = load_adversary_card("hopper", "td3", "optimal", tmp_path)
+    assert not card.with_search and card.budget == dict(members=1, environment_steps=1_024_000)
 
 
 def test_a_card_without_its_curves_is_refused(tmp_path):
