@@ -26,7 +26,9 @@ def test_all_attacks_are_filmed_together_and_recorded_singly(tmp_path):
     models.save_model("hopper", "td3", "detector-diverse", make_gruvae(), dict(threshold=1.0), root)
     models.save_model("hopper", "td3", f"denoiser-{MAIN}", make_gruvae(), dict(data="diverse"), root)
     manifest.write_json(root / "hopper-td3" / "timing.json", dict(c_vul=0.0, attack_rate=0.5), root)
-    models.save_adversary("hopper", "td3", "optimal", Victim([11, 11]), {}, root)
+    curve = dict(recipe=dict(steps=2), steps=[2], mean=[1.0])
+    card = dict(recipe=curve["recipe"], selection_mean=1.0, clean_mean=2.0, learning_curves=[curve])
+    models.save_adversary("hopper", "td3", "optimal", Victim([11, 11]), card, root)
     run_with_gl(SCRIPT, root)
 
     about = next(imageio_ffmpeg.read_frames(root / "films" / "hopper-td3-attacks.mp4"))
