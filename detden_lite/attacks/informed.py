@@ -4,6 +4,7 @@ They know the networks, the networks' memory and the threshold, but not the nois
 of their own, and maximise the mean over them (expectation over transformation, Athalye et al., 2018).
 """
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from detden_lite.core.types import World
 from detden_lite.defense.gruvae import sample
 from detden_lite.defense.memory import Recurrent
 from detden_lite.defense.pipeline import DetectAndDenoise
+from detden_lite.defense.predict_correct import PredictCorrect, Surprise
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,21 @@ class View:
     def deviation(self, perturbed: Tensor) -> Tensor:
         """|o_hat - det(o_hat)| in units of ``scale``, ``[K, n, obs_dim]``: its largest over obs_dim is the score."""
         return ((perturbed - self.reconstruct(perturbed)) / self.scale).abs()
+
+
+@dataclass(frozen=True)
+class PredictedView(View):
+    """The view of a denoiser that predicts, and that gives its own odds of a perturbation.
+
+    Args:
+        log_odds: from perturbed observations ``[n, obs_dim]`` to ``[n]``; above ``threshold`` is an alarm.
+    """
+
+    log_odds: Callable[[Tensor], Tensor]
+
+    def deviation(self, perturbed: Tensor) -> Tensor:
+        """The odds as the only number of a deviation, ``[1, n, 1]``."""
+        return self.log_odds(perturbed)[None, :, None]
 
 
 Views = Callable[[int], View]  # the view of a defence in so many latent samples, new ones at every call
@@ -81,7 +98,7 @@ def one_step(part: Recurrent, rows: Tensor, noise: Tensor | None) -> Callable[[T
 def view_defense(
     defense: DetectAndDenoise, rows: Tensor, streams: RandomStreams, samples: int, action: Tensor | None = None
 ) -> View:
-    """The view of a defence of two GRU-VAEs.
+    """The view of a defence of two GRU-VAEs, or of one that predicts, which has no latents: K is 1.
 
     Args:
         defense: with its memory as it is before this observation.
@@ -91,7 +108,7 @@ def view_defense(
         action: what the policy did one step before, ``[n, action_dim]``; a GRU-VAE does not use it.
 
     Raises:
-        ValueError: if detector or denoiser is no GRU-VAE.
+        ValueError: if the defence has other parts.
 
     Example:
         >>> from detden_lite import RandomStreams, load_defense, view_defense
@@ -102,6 +119,8 @@ def view_defense(
         torch.Size([4, 2, 11])
     """
 
+    if isinstance(defense.denoiser, PredictCorrect) and isinstance(defense.detector, Surprise):
+        return _view_predicted(defense, rows, action)
     n, budget, through, units = int(rows.sum()), defense.budget, [], []
     for part in defense.parts:
         if not isinstance(part, Recurrent):
@@ -117,6 +136,20 @@ def view_defense(
         denoise if budget is None else lambda obs: budget.project(obs, denoise(obs)),
         units[0],
         -torch.inf if defense.always else defense.detector.threshold,  # what is always denoised is always alarming
+    )
+
+
+def _view_predicted(defense: DetectAndDenoise, rows: Tensor, action: Tensor | None) -> View:
+    assert isinstance(defense.denoiser, PredictCorrect)
+    part = defense.denoiser.select(rows)
+    prediction = part.predict(action)
+    odds = defense.detector.threshold / (1 - defense.detector.threshold)
+    return PredictedView(
+        lambda obs: prediction.obs[None],
+        lambda obs: part.correct(obs, prediction).denoised[None],
+        1.0,
+        -torch.inf if defense.always else math.log(odds),
+        lambda obs: torch.logit(part.correct(obs, prediction).perturbed, eps=1e-15).float(),
     )
 
 

@@ -8,7 +8,7 @@ from torch import Tensor
 from detden_lite.checks.compare import array, compare
 from detden_lite.core.budget import Budget
 from detden_lite.defense.gruvae import GRUVAE, kl_divergence, reconstruction_loss
-from detden_lite.defense.regularizer import Regularizer
+from detden_lite.training.regularizer import Regularizer
 from detden_lite.victims.victim import Victim
 
 

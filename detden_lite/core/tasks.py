@@ -11,7 +11,8 @@ class Task:
     """One control task, its attack budget and the paper's hyperparameters for it.
 
     ``obs_dim`` is what gymnasium's v5 shows; ``paper_obs_dim`` is what the paper had. They differ where v5 drops
-    observations that never change (Ant, Humanoid). A task of your own needs the first five numbers.
+    observations that never change (Ant, Humanoid). ``state_dim`` says how many of its first numbers are positions and
+    velocities; None for all. A task of your own needs the first five numbers.
 
     Example:
         >>> task = Task("reacher", "Reacher-v5", epsilon=0.05, obs_dim=10, action_dim=2, horizon=50)
@@ -33,6 +34,7 @@ class Task:
     trajectories: int = 10_000  # appendix C.1
     horizon: int = 1_000
     learning_rate: float = 1e-3  # table 5
+    state_dim: int | None = None
 
     def check_fits(self, obs_dim: int, action_dim: int) -> None:
         """Check that a victim with so many observations and actions can act in this task; a ValueError if not."""
@@ -49,8 +51,8 @@ TASKS = {
         Task("hopper", "Hopper-v5", 0.075, 11, 3, 11, 64, 1, 64, 128, 50, 10_000),
         Task("walker2d", "Walker2d-v5", 0.1, 17, 6, 17, 64, 1, 64, 128, 50, 10_000),
         Task("halfcheetah", "HalfCheetah-v5", 0.15, 17, 6, 17, 64, 1, 64, 128, 50, 10_000),
-        Task("ant", "Ant-v5", 0.15, 105, 8, 111, 256, 1, 64, 256, 100, 20_000),
-        Task("humanoid", "Humanoid-v5", 0.15, 348, 17, 376, 256, 2, 128, 1_024, 200, 20_000),
+        Task("ant", "Ant-v5", 0.15, 105, 8, 111, 256, 1, 64, 256, 100, 20_000, state_dim=27),
+        Task("humanoid", "Humanoid-v5", 0.15, 348, 17, 376, 256, 2, 128, 1_024, 200, 20_000, state_dim=45),
     )
 }
 

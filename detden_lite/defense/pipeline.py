@@ -121,8 +121,9 @@ class DetectAndDenoise:
         self.check(obs)
         if len(obs) != self._rows:
             raise ValueError(f"obs has {len(obs)} rows, but {self._rows} episodes are under way; call reset(episodes)")
-        score, alarm, reconstruction = self.detector.step(obs)
-        denoised = reconstruction if self.denoiser is None else self.denoiser.step(obs, action)
+        denoised = None if self.denoiser is None else self.denoiser.step(obs, action)
+        score, alarm, reconstruction = self.detector.step(obs)  # after the denoiser, since it may judge what that found
+        denoised = reconstruction if denoised is None else denoised
         if self.budget is not None:
             denoised = self.budget.project(obs, denoised)
         use = torch.ones_like(alarm) if self.always else alarm

@@ -15,6 +15,7 @@ class Variant:
         data: the exploration in its D_normal, a key of ``DATASETS``.
         adversarial: the parts of D_adv that its denoiser is trained on, among ``PARTS``.
         recipe: the settings of its denoiser that differ from the scale's ``VAERecipe``.
+        predicts: whether it is no GRU-VAE but a ``PredictCorrect``, which needs no D_adv.
 
     Example:
         >>> VARIANTS[MAIN].recipe["residual"]
@@ -24,9 +25,22 @@ class Variant:
     data: str
     adversarial: tuple[str, ...] = ("adversarial",)
     recipe: Mapping[str, Any] = field(default_factory=dict)
+    predicts: bool = False
 
 
-DATASETS = {"plain": (0.0,), "diverse": (0.0, 0.1, 0.2, 0.3)}
+@dataclass(frozen=True)
+class Exploration:
+    """The exploration noise in a D_normal; the episodes take turns. See ``collect_normal``."""
+
+    noise: tuple[float, ...]
+    memory: tuple[float, ...] = (0.0,)
+
+
+DATASETS = {
+    "plain": Exploration((0.0,)),
+    "diverse": Exploration((0.0, 0.1, 0.2, 0.3)),
+    "coloured": Exploration((0.0, 0.1, 0.2, 0.3), (0.0, 2.0, 10.0, 50.0)),
+}
 
 MIXED = dict(residual=True, least_share=0.2, least_size=0.5)  # real attackers come and go, and hold back
 
@@ -39,6 +53,7 @@ VARIANTS = {
     "mixed": Variant("diverse", PARTS, MIXED),
     "regularized": Variant("diverse", PARTS, MIXED | dict(lam=0.1)),
     "standard-prior": Variant("diverse", PARTS, MIXED | dict(prior="standard")),
+    "predict": Variant("coloured", (), predicts=True),
 }
 
 MAIN = "mixed"  # the defence of the tables

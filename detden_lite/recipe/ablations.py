@@ -17,7 +17,6 @@ from detden_lite.defense.detector import Detector
 from detden_lite.defense.linear_models import Gaussian, LinearModel
 from detden_lite.defense.oracles import OracleDenoiser, OracleDetector
 from detden_lite.defense.pipeline import DetectAndDenoise
-from detden_lite.defense.thresholds import calibrate, clean_scores, tuned_threshold
 from detden_lite.defense.variants import ASSEMBLED, MAIN, VARIANTS
 from detden_lite.recipe.episode_seeds import seeds
 from detden_lite.recipe.run import Run
@@ -25,6 +24,7 @@ from detden_lite.recipe.scales import DefenseScale, Scale
 from detden_lite.recipe.trajectories import load_trajectories
 from detden_lite.simulation.rollout import rollout
 from detden_lite.store import manifest, tensors
+from detden_lite.training.thresholds import calibrate, clean_scores, tuned_threshold
 
 
 def fit_baselines(run: Run[Scale], seed: int = 0) -> None:

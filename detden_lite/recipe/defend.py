@@ -112,7 +112,8 @@ def _folder(folder: str | Path) -> Path:
 def _claim(run: Run[DefenseScale], victim: Victim, seed: int) -> None:
     """Write the victim and the settings into the run's folder; a ValueError if it belongs to others."""
     path, weights, ball = run.folder / "defend.json", run.folder / "victim.safetensors", run.budget
-    sizes = {field.name: getattr(run.scale, field.name) for field in fields(DefenseScale)}
+    own = [field.name for field in fields(DefenseScale) if field.name != "dynamics"]  # it makes no model that predicts
+    sizes = {name: getattr(run.scale, name) for name in own}
     settings = dict(
         victim=tensors.digest(victim.state_dict()), env_id=run.task.env_id,
         epsilon=ball.epsilon, norm=str(ball.norm), scale=torch.as_tensor(ball.scale).tolist(),

@@ -7,10 +7,8 @@ import numpy as np
 
 from detden_lite.defense import augmentation
 from detden_lite.defense.detector import Detector
+from detden_lite.defense.dynamics import Dynamics
 from detden_lite.defense.gruvae import GRUVAE
-from detden_lite.defense.regularizer import Regularizer
-from detden_lite.defense.thresholds import calibrate, clean_scores, conformal_threshold
-from detden_lite.defense.training import train_gruvae
 from detden_lite.defense.variants import DATASETS, VARIANTS
 from detden_lite.recipe import episode_seeds
 from detden_lite.recipe.run import ADVERSARIAL, Run
@@ -18,6 +16,10 @@ from detden_lite.recipe.scales import DefenseScale
 from detden_lite.recipe.trajectories import load_shard, load_trajectories, save_shard, shards
 from detden_lite.simulation import collection
 from detden_lite.store import manifest, models
+from detden_lite.training.dynamics_training import one_step_errors, train_dynamics
+from detden_lite.training.gruvae_training import train_gruvae
+from detden_lite.training.regularizer import Regularizer
+from detden_lite.training.thresholds import calibrate, clean_scores, conformal_threshold
 
 # The rate among clean steps. A missed attack costs more than a false alarm if the denoiser hardly changes clean
 # observations: on HalfCheetah's tuning episodes 5 % instead of 1 % raised the return under the optimal attack from
@@ -38,14 +40,15 @@ def collect(run: Run[DefenseScale], data: str) -> None:
     held_out = max(4, run.scale.trajectories // 2)
     wanted = [
         (f"normal-{data}", "normal", run.scale.trajectories, DATASETS[data]),
-        ("calibration", "calibration", held_out, (0.0,)),
+        ("calibration", "calibration", held_out, DATASETS["plain"]),
     ]
-    for folder, purpose, n, noise in wanted:
+    for folder, purpose, n, exploration in wanted:
         for path, part in shards(run, folder, n):
             if not manifest.is_made(path, run.root):
                 shard = collection.collect_normal(
-                    victim, run.task, episode_seeds.seeds(purpose, n)[part], noise, steps=run.scale.horizon
-                )
+                    victim, run.task, episode_seeds.seeds(purpose, n)[part], exploration.noise,
+                    noise_memory=exploration.memory, steps=run.scale.horizon,
+                )  # fmt: skip
                 save_shard(run, path, shard)
 
 
@@ -130,9 +133,39 @@ def fit_denoiser(
     )  # fmt: skip
 
 
+def fit_dynamics(run: Run[DefenseScale], variant: str, seed: int = 0) -> tuple[Dynamics, dict[str, object]]:
+    """Train the model of a variant that predicts.
+
+    Args:
+        run: where.
+        variant: a key of ``VARIANTS``.
+        seed: of the training.
+
+    Returns:
+        The model, and the content of its sidecar, with its errors in held-out clean episodes.
+    """
+    data, scale = VARIANTS[variant].data, run.scale
+    normal = load_trajectories(run, f"normal-{data}")
+    model = train_dynamics(
+        scale.dynamics, normal, seed, run.task.state_dim, run.folder / "checkpoints" / f"dynamics-{variant}.ckpt",
+        label=f"dynamics on {data} data",
+    )  # fmt: skip
+    error = one_step_errors(model, load_trajectories(run, "calibration"))
+    return model, dict(
+        data=data, recipe=asdict(scale.dynamics), seed=seed, trajectories=len(normal),
+        transitions=int(normal.mask[:, 1:].sum()),
+        budget=dict(epsilon=run.budget.epsilon, norm=str(run.budget.norm), scale=np.asarray(run.budget.scale).tolist()),
+        error_median=np.median(error, 0).tolist(), error_mean=error.mean(0).tolist(),
+    )  # fmt: skip
+
+
 def train_denoiser(run: Run[DefenseScale], variant: str, seed: int = 0, parts: Sequence[str] = ()) -> None:
     """The stage: train a variant's denoiser and store it. The arguments are those of ``fit_denoiser``."""
-    model, sidecar = fit_denoiser(run, variant, seed, parts)
+    model: GRUVAE | Dynamics
+    if VARIANTS[variant].predicts:
+        model, sidecar = fit_dynamics(run, variant, seed)
+    else:
+        model, sidecar = fit_denoiser(run, variant, seed, parts)
     models.save_model(run.task.name, run.algo, f"denoiser-{variant}", model, sidecar, run.root)
 
 

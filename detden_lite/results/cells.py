@@ -33,9 +33,10 @@ class Cell:
 def table_cells(defenses: Iterable[str] = ("none", MAIN)) -> list[Cell]:
     """The cells of the tables, one defence after the other; "none" is the bare victim.
 
-    The bare victim and the main defence meet all attacks that do not know it, those of the paper at every timing. Other
-    trained ones meet those of the four that need no planner; and assembled ones the opposite attack, which the denoiser
-    has seen, and the optimal one, which it has not. The random timings are controls, of the bare victim alone.
+    The bare victim, the main defence and one that predicts meet all attacks that do not know it, those of the paper at
+    every timing. Other trained ones meet those of the four that need no planner; and assembled ones the opposite
+    attack, which the denoiser has seen, and the optimal one, which it has not. The random timings are controls, of the
+    bare victim alone.
 
     Example:
         >>> [cell.attack for cell in table_cells(["oracle-detector"])]
@@ -50,10 +51,11 @@ def table_cells(defenses: Iterable[str] = ("none", MAIN)) -> list[Cell]:
             found += [Cell(attack, timing) for attack in catalogue.FOUR for timing in three]
             found += [Cell("opposite", timing) for timing in ("random", "random-third")]
         elif name in VARIANTS:
-            attacks, timings = (catalogue.FOUR, three) if name == MAIN else (("opposite", "qfunction", "optimal"), both)
+            whole = name == MAIN or VARIANTS[name].predicts
+            attacks, timings = (catalogue.FOUR, three) if whole else (("opposite", "qfunction", "optimal"), both)
             found += [Cell(attack, timing, name) for attack in attacks for timing in timings]
             held = (*catalogue.UNAWARE, "uniform", "corner")
-            found += [Cell(attack, "always", name) for attack in held if name == MAIN]
+            found += [Cell(attack, "always", name) for attack in held if whole]
         else:
             found += [Cell(attack, "always", name) for attack in ("opposite", "optimal")]
     return found

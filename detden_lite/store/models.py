@@ -6,11 +6,15 @@ from typing import Any, TypeVar
 
 from torch import Tensor
 
+from detden_lite.core.budget import Budget
 from detden_lite.core.files import ArtifactError
 from detden_lite.defense.denoiser import Denoiser
 from detden_lite.defense.detector import Detector
+from detden_lite.defense.dynamics import Dynamics
 from detden_lite.defense.gruvae import GRUVAE
 from detden_lite.defense.pipeline import DetectAndDenoise
+from detden_lite.defense.predict_correct import PredictCorrect, Surprise
+from detden_lite.defense.variants import VARIANTS
 from detden_lite.store.manifest import DATA, promised, versions, where_else
 from detden_lite.store.tensors import load_tensors, save_tensors
 from detden_lite.victims.victim import Victim
@@ -53,8 +57,10 @@ def load_victim(task: str, algo: str, root: Path = DATA) -> Victim:
     return with_critic
 
 
-def save_model(task: str, algo: str, name: str, model: GRUVAE, sidecar: Mapping[str, Any], root: Path = DATA) -> None:
-    """Ship a GRU-VAE as ``<task>-<algo>/<name>``."""
+def save_model(
+    task: str, algo: str, name: str, model: GRUVAE | Dynamics, sidecar: Mapping[str, Any], root: Path = DATA
+) -> None:
+    """Ship a network of a defence as ``<task>-<algo>/<name>``."""
     sidecar = dict(sidecar, config=model.config, versions=versions())
     save_tensors(root / f"{task}-{algo}" / f"{name}.safetensors", model.state_dict(), sidecar, root)
 
@@ -101,6 +107,8 @@ def load_defense(task: str, algo: str, variant: str = "mixed", root: Path = DATA
         >>> bool(defense(torch.full((1, 11), 9.0)).alarm)
         True
     """
+    if variant in VARIANTS and VARIANTS[variant].predicts:
+        return _load_predicting(task, algo, f"denoiser-{variant}", root)
     denoiser, sidecar = load_model(task, algo, f"denoiser-{variant}", root)
     if not isinstance(data := sidecar.get("data"), str):
         raise _wrong_card(task, algo, f"denoiser-{variant}", f"data is {data!r} instead of the name of a dataset", root)
@@ -109,6 +117,16 @@ def load_defense(task: str, algo: str, variant: str = "mixed", root: Path = DATA
     if isinstance(threshold, bool) or not isinstance(threshold, int | float) or not abs(threshold) < float("inf"):
         raise _wrong_card(task, algo, f"detector-{data}", f"threshold is {threshold!r:.40} instead of a number", root)
     return DetectAndDenoise(Detector(detector, threshold), Denoiser(denoiser))
+
+
+def _load_predicting(task: str, algo: str, name: str, root: Path) -> DetectAndDenoise:
+    def filter(card: Mapping[str, Any], state: Mapping[str, Tensor]) -> PredictCorrect:
+        ball = card["budget"]
+        budget = Budget(float(ball["epsilon"]), float(ball["norm"]), ball["scale"])
+        return PredictCorrect(Dynamics.from_state(card["config"], state), budget)
+
+    found, _ = _build(filter, root / f"{task}-{algo}" / f"{name}.safetensors", root)
+    return DetectAndDenoise(Surprise(found), found)
 
 
 def _wrong_card(task: str, algo: str, name: str, problem: str, root: Path) -> ArtifactError:

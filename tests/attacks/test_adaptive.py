@@ -38,7 +38,9 @@ from detden_lite.core.types import World
 from detden_lite.defense.baselines import Identity
 from detden_lite.defense.denoiser import Denoiser
 from detden_lite.defense.detector import Detector
+from detden_lite.defense.dynamics import Dynamics
 from detden_lite.defense.pipeline import DetectAndDenoise
+from detden_lite.defense.predict_correct import PredictCorrect, Surprise
 from detden_lite.simulation.rollout import rollout
 from detden_lite.simulation.simulator import Simulator
 from detden_lite.victims.victim import Victim
@@ -139,6 +141,39 @@ def test_the_view_of_an_ablation_is_exact_without_noise(change):
     verdict = defense(obs)
     assert torch.allclose(torch.where(alarm[:, None], denoised, obs), verdict.obs, atol=1e-5)
     assert torch.allclose(denoised, verdict.denoised, atol=1e-5)
+
+
+def predicting_defense(steps: int = 3) -> tuple[DetectAndDenoise, Tensor, Tensor]:
+    """A defence that predicts, with an untrained model, after some steps; its next observation and last action."""
+    torch.manual_seed(0)
+    model = Dynamics(obs_dim=11, action_dim=3, state_dim=9, hidden=8).requires_grad_(False)
+    denoiser = PredictCorrect(model, BUDGET)
+    defense = DetectAndDenoise(Surprise(denoiser), denoiser)
+    defense.reset(range(4))
+    for t in range(steps):
+        defense(normal(4, 11, seed=t), normal(4, 3, seed=t) if t else None)
+    return defense, normal(4, 11, seed=9), normal(4, 3, seed=9)
+
+
+def test_the_view_of_a_defence_that_predicts_is_exact():
+    defense, obs, action = predicting_defense()
+    some = torch.tensor([True, False, True, True])
+    view = view_defense(defense, some, RandomStreams(0), 5, action[some])
+    shown = defense.denoiser.predict(action).obs + BUDGET.epsilon * torch.linspace(-0.001, 0.9, 4)[:, None]
+    score, denoised = view.deviation(shown[some]).amax(-1)[0], view.denoise(shown[some])[0]
+    verdict = defense(shown, action)
+    assert torch.equal(score > view.threshold, verdict.alarm[some])
+    assert torch.allclose(denoised, verdict.denoised[some], atol=1e-5)
+
+
+def test_an_attack_on_a_defence_that_predicts_leaves_its_memory():
+    defense, obs, action = predicting_defense()
+    attack = AdaptiveAttack(OppositeAttack(make_victim(), BUDGET), steps=2, samples=1, fresh=1)
+    attack.reset(range(4))
+    before = copy.deepcopy(defense)
+    found = attack(obs, World(np.ones(4, bool), defense=defense, action=action))
+    assert BUDGET.contains(obs, found).all() and not torch.equal(found, obs)
+    assert torch.equal(before(obs, action).denoised, defense(obs, action).denoised)
 
 
 def test_the_attackers_samples_have_the_same_distribution():

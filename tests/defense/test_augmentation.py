@@ -14,9 +14,9 @@ from detden_lite.core.types import Trajectories
 from detden_lite.defense.augmentation import augment, intermittent
 from detden_lite.defense.autoencoder import train_autoencoder
 from detden_lite.defense.linear_models import Gaussian, LinearModel
-from detden_lite.defense.training import VAERecipe, train_gruvae
 from detden_lite.simulation.collection import collect_normal
 from detden_lite.simulation.rollout import rollout
+from detden_lite.training.gruvae_training import VAERecipe, train_gruvae
 
 SEEDS = range(6)
 STEPS = 26

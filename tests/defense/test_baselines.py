@@ -17,9 +17,9 @@ from detden_lite.defense.denoiser import Denoiser
 from detden_lite.defense.detector import Detector
 from detden_lite.defense.linear_models import Gaussian, LinearModel
 from detden_lite.defense.pipeline import DetectAndDenoise
-from detden_lite.defense.thresholds import calibrate, clean_scores
 from detden_lite.simulation.collection import collect_normal
 from detden_lite.simulation.rollout import rollout
+from detden_lite.training.thresholds import calibrate, clean_scores
 
 NORMAL = Trajectories(normal(20, 30, 11).cumsum(1).numpy(), np.full(20, 30))
 LINEAR, GAUSSIAN = LinearModel.fit(NORMAL), Gaussian.fit(NORMAL)

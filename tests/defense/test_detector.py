@@ -10,7 +10,7 @@ from detden_lite.core.types import Trajectories
 from detden_lite.defense.baselines import MahalanobisDetector, PredictionDetector
 from detden_lite.defense.detector import Detector, linf_score
 from detden_lite.defense.linear_models import Gaussian, LinearModel
-from detden_lite.defense.thresholds import calibrate, clean_scores, conformal_threshold, tuned_threshold
+from detden_lite.training.thresholds import calibrate, clean_scores, conformal_threshold, tuned_threshold
 
 
 def scores(detector, obs, episodes):

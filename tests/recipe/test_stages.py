@@ -24,7 +24,6 @@ from detden_lite.core.tasks import ALGORITHMS, SCALES, TASK_NAMES
 from detden_lite.core.types import Trajectories
 from detden_lite.defense import variants
 from detden_lite.defense.detector import Detector
-from detden_lite.defense.thresholds import calibrate, clean_scores
 from detden_lite.defense.variants import MAIN
 from detden_lite.recipe import defense_stages, trajectories
 from detden_lite.recipe.cli import main
@@ -35,6 +34,7 @@ from detden_lite.recipe.trajectories import load_shard, load_trajectories
 from detden_lite.results import cells, records
 from detden_lite.simulation.rollout import rollout
 from detden_lite.store import manifest, models, tensors
+from detden_lite.training.thresholds import calibrate, clean_scores
 from detden_lite.victims.victim import Victim
 
 ORDER = ["victim", "select", "collect", "augment", "detector", "denoiser"]

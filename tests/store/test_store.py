@@ -202,7 +202,7 @@ import torch
 from detden_lite.store import manifest, tensors, models
 from detden_lite.core import files
 from detden_lite.core.types import Trajectories
-from detden_lite.defense.training import VAERecipe, train_gruvae
+from detden_lite.training.gruvae_training import VAERecipe, train_gruvae
 
 root, large = pathlib.Path(sys.argv[1]), "x" * 10_000
 waves = Trajectories(torch.rand(8, 20, 3).numpy(), torch.full((8,), 20).numpy())

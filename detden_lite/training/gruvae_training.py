@@ -12,17 +12,17 @@ from tqdm import tqdm
 from detden_lite.core.arguments import check_between, check_positive, check_whole
 from detden_lite.core.random_streams import derived_seed
 from detden_lite.defense.augmentation import Pair, check_pairs, intermittent
-from detden_lite.defense.checkpoint import Parts, resume, save_checkpoint
 from detden_lite.defense.gruvae import GRUVAE, LEAST_STD, kl_divergence, reconstruction_loss
-from detden_lite.defense.regularizer import Regularizer
+from detden_lite.training.regularizer import Regularizer
+from detden_lite.training.torch_checkpoint import Parts, resume, save_checkpoint
 
 
 @dataclass(frozen=True)
 class VAERecipe:
     """How a GRU-VAE is trained.
 
-    The training minimises beta (-L_den) + lam R, with R of ``detden_lite.defense.regularizer``. The learning rate falls
-    along half a cosine to zero at the last epoch; the paper says nothing of a schedule.
+    The training minimises beta (-L_den) + lam R, with R of ``detden_lite.training.regularizer``. The learning rate
+    falls along half a cosine to zero at the last epoch; the paper says nothing of a schedule.
 
     Args:
         hidden: see ``GRUVAE``, as for the next three.

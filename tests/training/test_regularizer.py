@@ -11,8 +11,8 @@ from torch import nn
 from detden_lite.attacks.opposite import opposite_objective
 from detden_lite.core.budget import Budget
 from detden_lite.core.types import Trajectories
-from detden_lite.defense.regularizer import Regularizer
-from detden_lite.defense.training import VAERecipe, train_gruvae
+from detden_lite.training.gruvae_training import VAERecipe, train_gruvae
+from detden_lite.training.regularizer import Regularizer
 from detden_lite.victims.victim import Victim
 
 ALL = torch.ones(3, 6)  # a mask of what the tests below perturb

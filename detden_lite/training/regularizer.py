@@ -1,7 +1,7 @@
 """The robustness regularizer: pi(den(.)) should do the same, attacked or not (section 3.1.2).
 
 The paper optimises L_den + R, which cannot be right: its L_den is an ELBO, to be maximised, and R is to be small. Here
--L_den + lambda R is minimised; see ``detden_lite.defense.training`` for the units.
+-L_den + lambda R is minimised; see ``detden_lite.training.gruvae_training`` for the units.
 """
 
 from dataclasses import dataclass

@@ -12,8 +12,8 @@ from builders import BUDGET, make_victim
 from detden_lite.core.files import ArtifactError
 from detden_lite.core.types import Trajectories
 from detden_lite.defense.gruvae import LEAST_STD, reconstruction_loss
-from detden_lite.defense.regularizer import Regularizer
-from detden_lite.defense.training import VAERecipe, train_gruvae
+from detden_lite.training.gruvae_training import VAERecipe, train_gruvae
+from detden_lite.training.regularizer import Regularizer
 from detden_lite.victims.victim import Victim
 
 RECIPE = VAERecipe(hidden=16, latent=4, epochs=4, batch=8, chunk=7, learning_rate=1e-2)
