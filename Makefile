@@ -19,7 +19,8 @@ TOOLS := $(wildcard book/tools/*.py)
 SCALES := $(patsubst data/config/%.yaml,%,$(wildcard data/config/*.yaml))
 LIBRARY := $(wildcard detden_lite/*.py detden_lite/*/*.py)
 DATA := $(wildcard data/* data/*/*)
-BOOK := $(CHAPTERS) $(TOOLS) $(wildcard book/*.* book/api/* book/_static/* book/images/* book/viewer/*/*)
+BOOK := $(CHAPTERS) $(TOOLS) $(wildcard book/*.* book/api/* book/_static/* book/images/* book/viewer/*/* book/playground/page/*)
+PLAYGROUND := $(wildcard book/playground/*.json book/playground/src/*.js)
 FAST := core victims simulation defense attacks training store theory results checks test_rooms.py test_bad_inputs.py
 
 .DEFAULT_GOAL := help
@@ -95,8 +96,11 @@ _build/cache.stamp: .venv/stamp $(LIBRARY) $(DATA)
 _build/vendor/widgets/embed.js: .venv/stamp book/tools/widget_player.py
 	$(PY) book/tools/widget_player.py $@
 
+_build/vendor/playground/playground.js: .venv/stamp book/tools/build_playground.py $(PLAYGROUND) $(DATA)
+	$(PY) book/tools/build_playground.py _build/playground _build/vendor/playground
+
 # The book is built aside and takes its place when it is whole: a build that fails or is interrupted leaves the old one.
-_build/html.stamp: _build/cache.stamp _build/vendor/widgets/embed.js $(BOOK)
+_build/html.stamp: _build/cache.stamp _build/vendor/widgets/embed.js _build/vendor/playground/playground.js $(BOOK)
 	$(PY) -c "import shutil; shutil.rmtree('_build/new/_build/html', ignore_errors=True)"
 	$(BIN)/jupyter-book build book --path-output _build/new --all --warningiserror --keep-going
 	@$(PY) -c "import os, shutil; shutil.rmtree('_build/old', ignore_errors=True); os.path.exists('_build/html') and os.rename('_build/html', '_build/old'); os.rename('_build/new/_build/html', '_build/html'); shutil.rmtree('_build/old', ignore_errors=True)"

@@ -73,9 +73,8 @@ def book(checkout):
     return checkout
 
 
-MADE = [
-    part for name in (".venv/stamp", "_build/cache.stamp", "_build/vendor/widgets/embed.js") for part in ("-o", name)
-]
+VENDOR = ("_build/vendor/widgets/embed.js", "_build/vendor/playground/playground.js")
+MADE = [part for name in (".venv/stamp", "_build/cache.stamp", *VENDOR) for part in ("-o", name)]
 
 
 def build(folder: Path, text: str) -> subprocess.CompletedProcess:

@@ -63,34 +63,34 @@ export const ATTACKS = {
     perturb: (obs, { epsilon, random }) => obs.map((o) => o + epsilon * (2 * random.uniform() - 1)),
   },
   corner: {
-    title: "random corner, held",
+    title: "held corner",
     perturb: (obs, of) => {
       of.corner ??= Float64Array.from(obs, () => (of.random.normal() < 0 ? -1 : 1));
       return obs.map((o, i) => o + of.epsilon * of.corner[i]);
     },
   },
   hand: {
-    title: "an offset that you hold",
+    title: "your own offset",
     perturb: (obs, { epsilon, offset }) => obs.map((o, i) => o + epsilon * (offset[i] ?? 0)),
   },
   fgsm: {
-    title: "FGSM: one gradient step",
+    title: "FGSM",
     perturb: (obs, { victim, epsilon, random }) => ascend(oppositeObjective(victim, obs), obs, epsilon, random, 1),
   },
   opposite: {
-    title: "opposite: PGD on the action",
+    title: "opposite (PGD)",
     steps: true,
     perturb: (obs, { victim, epsilon, random, steps }) => ascend(oppositeObjective(victim, obs), obs, epsilon, random, steps),
   },
   qfunction: {
-    title: "Q-function: PGD on the critic",
+    title: "Q-function (PGD)",
     steps: true,
     perturb: (obs, { victim, epsilon, random, steps }) => ascend(badnessObjective(victim, obs), obs, epsilon, random, steps),
   },
-  linear: { title: "linear adversary, learned", learned: true },
-  optimal: { title: "optimal adversary, learned", learned: true },
-  offset: { title: "held offset, searched for", learned: true },
-  "adaptive-optimal": { title: "adversary that learned on the defended robot", learned: true },
+  linear: { title: "linear adversary", learned: true },
+  optimal: { title: "optimal adversary", learned: true },
+  offset: { title: "held offset, found", learned: true },
+  "adaptive-optimal": { title: "optimal, adaptive", learned: true },
 };
 for (const [name, attack] of Object.entries(ATTACKS)) {
   if (!attack.learned) continue;

@@ -4,9 +4,9 @@
 /** What may stand between the sensors and the policy. */
 export const DEFENSES = {
   none: "none",
-  detector: "detector alone: it rings, and nothing is done",
-  mixed: "GRU-VAE detector and denoiser",
-  oracle: "oracle: it is told the truth",
+  detector: "detector alone",
+  mixed: "detect and denoise",
+  oracle: "oracle",
 };
 
 /**

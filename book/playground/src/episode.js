@@ -49,7 +49,7 @@ export class Episode {
     }
     Object.assign(this.attack.of, { epsilon: conditions.epsilon, offset: conditions.offset });
     const value = victim.value(true_);
-    const strikes = this.timing.strikes(conditions.timing, { ...conditions, value, cVul });
+    const strikes = this.timing.strikes(conditions.timing, { ...conditions, step: this.steps, value, cVul });
     const found = this.attack.perturb(true_); // even if it is not used: its random numbers belong to the step
     const attacked = strikes && conditions.attack !== "none";
     const perturbed = attacked ? found : true_;
@@ -59,7 +59,7 @@ export class Episode {
     this.last = {
       true: true_, perturbed, denoised: verdict.denoised, shown: verdict.obs, action, reward, value, attacked,
       alarm: verdict.alarm, score: verdict.score, threshold: verdict.threshold,
-    }; // prettier-ignore
+    };
     this.obs = obs;
     this.steps += 1;
     this.return += reward;

@@ -16,7 +16,7 @@ export const ROBOTS = {
     title: "HalfCheetah", frameSkip: 5, controlCost: 0.1, healthyReward: 0, noise: 0.1, clip: Infinity, normalVelocity: true,
     healthy: () => true,
   },
-}; // prettier-ignore
+};
 
 const CAPSULE = 3; // mjtGeom
 
@@ -38,6 +38,7 @@ export class Robot {
       this.capsules.push({ geom, body: bodies[geom], radius: sizes[3 * geom], half: sizes[3 * geom + 1] });
     }
     this.joints = model.jnt_bodyid.slice(); // the body that each joint moves; all joints have one position
+    this.axes = Array.from(this.joints, (_, j) => Math.sign(model.jnt_axis[3 * j + 1])); // 1 or -1 of a hinge
     this.mass = model.body_mass.reduce((sum, mass) => sum + mass, 0);
   }
 }

@@ -1,9 +1,13 @@
 // When to attack (detden_lite/attacks/timing.py).
 import { Random } from "./random.js";
 
+/** The step from which on the timing "after" attacks a robot that is already walking. */
+export const AFTER = 100;
+
 /** The timings by name. */
 export const TIMINGS = {
   always: "at every step",
+  after: `from step ${AFTER} on`,
   vulnerable: "when V is below C_vul",
   random: "at random steps",
   key: "while you hold A or the button",
@@ -19,10 +23,10 @@ export class Timing {
   /**
    * Whether to attack now.
    * @param {string} name a key of TIMINGS
-   * @param {{value: number, cVul: number, rate: number, pressed: boolean}} now
+   * @param {{step: number, value: number, cVul: number, rate: number, pressed: boolean}} now
    */
-  strikes(name, { value, cVul, rate, pressed }) {
+  strikes(name, { step, value, cVul, rate, pressed }) {
     const drawn = this.random.uniform(); // at every step, so that another timing before it changes nothing
-    return { always: true, vulnerable: value < cVul, random: drawn < rate, key: pressed }[name];
+    return { always: true, after: step >= AFTER, vulnerable: value < cVul, random: drawn < rate, key: pressed }[name];
   }
 }
