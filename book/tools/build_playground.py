@@ -55,10 +55,32 @@ def bundle(workshop: Path, target: Path) -> None:
 def pack_engine(workshop: Path, target: Path) -> None:
     """Write MuJoCo's WebAssembly, compressed, and its licence. No server knows the ending, so none unpacks it."""
     engine = (workshop / "node_modules" / "@mujoco" / "mujoco" / "mujoco.wasm").read_bytes()
-    (target / "mujoco.bin").write_bytes(gzip.compress(engine, 9, mtime=0))
+    (target / "mujoco.bin").write_bytes(gzip.compress(stripped(engine), 9, mtime=0))
     for file in files("mujoco") or ():
         if "licenses" in file.parts:
             shutil.copyfile(file.locate(), target / f"mujoco-{file.name}.txt")
+
+
+def stripped(engine: bytes) -> bytes:
+    """WebAssembly without its custom sections, which hold names for debuggers: half of the engine.
+
+    Raises:
+        ValueError: if these bytes are no WebAssembly.
+    """
+    if engine[:4] != b"\0asm":
+        raise ValueError("the engine is no WebAssembly")
+    kept, start = [engine[:8]], 8
+    while start < len(engine):
+        size, at = 0, start + 1
+        for shift in range(0, 35, 7):  # a section's size is a LEB128 number
+            size |= (engine[at] & 0x7F) << shift
+            at += 1
+            if engine[at - 1] < 0x80:
+                break
+        if engine[start]:  # 0 is a custom section
+            kept.append(engine[start : at + size])
+        start = at + size
+    return b"".join(kept)
 
 
 def gather(task: str, algo: str, target: Path) -> None:

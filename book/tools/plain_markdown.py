@@ -155,7 +155,7 @@ def _directive(block: Directive, labels: Labels) -> list[str]:
     if name == "figure":
         image = f"![{block.options.get('alt', '')}]({_image(block.argument)})"
         return [image, "", caption(block.options["name"], " ".join(body), labels), ""]
-    if name in ("film", "recording"):
+    if name in ("film", "recording", "playground"):
         return [f"![{block.options['alt']}]({_image(block.options['still'])})", "", *plain(body, labels), ""]
     if name == "image":
         return [f"![{block.options.get('alt', '')}]({_image(block.argument)})", ""]
@@ -181,6 +181,8 @@ def _role(name: str, argument: str, labels: Labels) -> str:
         return shown or f"*{inline(_find(labels.headings, target, 'section'), labels)}*"
     if name == "doc":
         return f"[{shown or target}]({_notebook(target + '.md')})"
+    if name == "scene":
+        return shown or "the playground"
     if name in ("cite", "cite:p"):
         found = [_find(labels.citations, key.strip(), "citation") for key in argument.split(",")]
         return "(" + "; ".join(f"{authors}, {year}" for authors, year in found) + ")"

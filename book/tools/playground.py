@@ -10,7 +10,8 @@ The argument is a query of settings, as ``book/playground/src/scenes.js`` reads 
 
 The role ``scene`` is a link to the page of the playground in another state: {scene}`a clean episode <scene=clean>`.
 
-With ``:now:`` it opens with the page, in the state of the page's own address if that has one. What is loaded then lies
+With ``:film:`` a film is in the place of the still. With ``:now:`` the playground opens with the page, in the state of
+the page's own address if that has one. What is loaded then lies
 in ``playground/`` in the built book; ``build_playground.py`` makes it.
 """
 
@@ -21,7 +22,7 @@ from typing import ClassVar
 
 from docutils import nodes
 from docutils.parsers.rst import directives
-from rerun_viewer import Film, show_caption_only
+from rerun_viewer import Film, picture_html, show_caption_only
 from sphinx.application import Sphinx
 from sphinx.util.docutils import ReferenceRole
 from sphinx.writers.html5 import HTML5Translator
@@ -36,10 +37,11 @@ class playground(nodes.General, nodes.Element):  # noqa: N801, docutils names no
 class Playground(Film):
     """The still, the button, and what they open."""
 
-    option_spec: ClassVar = Film.option_spec | {"now": directives.flag}
+    option_spec: ClassVar = Film.option_spec | {"film": directives.unchanged_required, "now": directives.flag}
 
     def run(self) -> list[nodes.Node]:
-        picture = self.picture()
+        film = self.options.get("film")
+        picture = self.picture(film=film and self._file(film, ".mp4"))
         node = playground("", *picture.children, **picture.attributes)
         node["query"], node["now"] = self.arguments[0], "now" in self.options
         return [node]
@@ -56,11 +58,9 @@ class Scene(ReferenceRole):
 def visit_html(translator: HTML5Translator, node: playground) -> None:
     downloads = translator.builder.dlpath
     base, query = downloads.removesuffix("_downloads") + "playground/", html.escape(node["query"])
-    still, alt, (width, height) = html.escape(f"{downloads}/{node['still']}"), html.escape(node["alt"]), node["size"]
     now = " data-now" if node["now"] else ""
     translator.body.append(
-        f'<figure class="playground" data-base="{base}" data-query="{query}"{now}>'
-        f'<img src="{still}" width="{width}" height="{height}" alt="{alt}">'
+        f'<figure class="playground" data-base="{base}" data-query="{query}"{now}>{picture_html(node, downloads)}'
         '<button type="button" hidden>Open the playground</button>'
         '<div class="playground-stage" hidden></div><figcaption>'
     )

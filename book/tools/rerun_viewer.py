@@ -92,24 +92,27 @@ class Recording(Film):
         return [self.picture(film=film and self._file(film, ".mp4"), recording=source, bytes=size, number=number)]
 
 
-def visit_html(translator: HTML5Translator, node: moving_picture) -> None:
-    downloads = translator.builder.dlpath
-    root = downloads.removesuffix("_downloads")
+def picture_html(node: nodes.Element, downloads: str) -> str:
+    """The film of a node, or its still if it has none; ``downloads`` is the address of the folder of both."""
 
     def address(file: str) -> str:
         return html.escape(f"{downloads}/{file}")
 
     alt, (width, height) = html.escape(node["alt"]), node["size"]
     still, size = address(node["still"]), f'width="{width}" height="{height}"'
-    parts = ['<figure class="moving-picture">']
-    if node.get("film"):
-        film = address(node["film"])
-        parts.append(
-            f'<video controls muted loop playsinline preload="none" poster="{still}" {size} aria-label="{alt}">'
-            f'<source src="{film}" type="video/mp4"><a href="{film}">{alt}</a></video>'
-        )
-    else:
-        parts.append(f'<img src="{still}" {size} alt="{alt}">')
+    if not node.get("film"):
+        return f'<img src="{still}" {size} alt="{alt}">'
+    film = address(node["film"])
+    return (
+        f'<video controls muted loop playsinline preload="none" poster="{still}" {size} aria-label="{alt}">'
+        f'<source src="{film}" type="video/mp4"><a href="{film}">{alt}</a></video>'
+    )
+
+
+def visit_html(translator: HTML5Translator, node: moving_picture) -> None:
+    downloads = translator.builder.dlpath
+    root, alt = downloads.removesuffix("_downloads"), html.escape(node["alt"])
+    parts = ['<figure class="moving-picture">', picture_html(node, downloads)]
     if node.get("recording"):
         viewer = html.escape(f"{root}{FOLDER}/viewer.html?recording=../../_downloads/{node['recording']}")
         stage, megabytes = f"recording-{node['number']}", f"{node['bytes'] / 1e6:.1f} MB"
@@ -117,7 +120,7 @@ def visit_html(translator: HTML5Translator, node: moving_picture) -> None:
             f'<div class="recording-bar"><button type="button" aria-expanded="false" aria-controls="{stage}" '
             f'data-viewer="{viewer}" data-title="Recording: {alt}">Open the recording</button>'
             f'<a href="{viewer}" target="_blank" rel="noopener">in a tab of its own</a>'
-            f'<a href="{address(node["recording"])}" download>download it ({megabytes})</a></div>'
+            f'<a href="{html.escape(downloads)}/{html.escape(node["recording"])}" download>download it ({megabytes})</a></div>'
             f'<div class="recording-stage" id="{stage}" hidden><p>{HELP}</p></div>'
         )
     translator.body.append("".join(parts) + "<figcaption>")

@@ -91,7 +91,7 @@ def test_exercises_are_announced_by_a_heading(chapter):
 
 def test_figures_are_described_for_who_cannot_see_them(chapter):
     for block in chapter.blocks:
-        if isinstance(block, Directive) and block.name in ("figure", "image", "film", "recording"):
+        if isinstance(block, Directive) and block.name in ("figure", "image", "film", "recording", "playground"):
             assert block.options.get("alt", "").strip(), f"{block.name} {block.argument} has no alt text"
     for cell in chapter.cells:
         if drawn := cell.metadata.get("mystnb", {}).get("figure"):

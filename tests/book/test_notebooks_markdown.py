@@ -49,6 +49,10 @@ def labels():
             "```{recording} ../../data/r/h.rrd\n:still: ../../data/f/h.png\n:alt: three robots\nThey hop.\n```",
             "![three robots](../data/f/h.png)\n\nThey hop.\n",
         ),
+        (
+            "```{playground} scene=fall\n:still: ../../data/f/h.png\n:alt: a robot\nFell {scene}`it <scene=fall>`.\n```",
+            "![a robot](../data/f/h.png)\n\nFell it.\n",
+        ),
     ],
 )
 def test_plain_form(source, expected, labels):

@@ -53,11 +53,11 @@ const answers = {
   defense({ obs, noise }) {
     const { defense } = makeCast(brought);
     const draws = noise.map((rows) => rows[Symbol.iterator]());
-    [defense.detector, defense.denoiser].forEach((net, i) => {
+    [defense.detector, defense.denoisers.mixed].forEach((net, i) => {
       net.random = { normals: () => draws[i].next().value };
     });
     return obs.map((row) => {
-      const { obs: shown, denoised, score, alarm } = defense.judge(floats(row), "mixed", null, false);
+      const { obs: shown, denoised, score, alarm } = defense.judge(floats(row), null, "mixed", {});
       return { shown: [...shown], denoised: [...denoised], score, alarm };
     });
   },

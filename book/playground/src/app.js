@@ -93,7 +93,8 @@ class Playground {
       this.restart();
       this.element.setAttribute("aria-busy", "false");
     } catch (error) {
-      this.say(`The playground could not start: ${error.message}. Reload the page to try again.`);
+      this.say(`The playground could not start: ${error.message}. `);
+      this.status.append(h("button", { type: "button", onclick: () => this.load() }, "Try again"));
       console.warn(error);
     }
   }
@@ -117,13 +118,13 @@ class Playground {
 
   /** Which defence a lane has: of two, the first is bare. */
   defense(lane) {
-    const { compare, defense } = this.settings;
-    return compare && lane === this.lanes[0] ? "none" : compare && defense === "none" ? "mixed" : defense;
+    return this.settings.compare && lane === this.lanes[0] ? "none" : this.settings.defense;
   }
 
   /** Change a setting, as the form does. */
   change(key, value) {
     this.settings[key] = value;
+    if (key === "compare" && value && this.settings.defense === "none") this.settings.defense = "mixed";
     if (key === "robot" || key === "algo") this.load();
     else if (key === "seed" || key === "compare" || key === "challenge") this.restart();
     else this.show();

@@ -52,7 +52,7 @@ export function makeCast({ card, tensors }) {
   return {
     victim: new Victim(networks.victim, tensors.victim, critic),
     adversaries,
-    defense: new Defense(detector, card.threshold, denoiser),
+    defense: new Defense(detector, card.threshold, { mixed: denoiser }),
     cVul: card.c_vul,
   };
 }

@@ -3,7 +3,7 @@ import { ATTACKS } from "./attacks.js";
 import { DEFENSES } from "./defense.js";
 import { h, newId } from "./dom.js";
 import { ROBOTS } from "./robot.js";
-import { ALGORITHMS, CHALLENGES, SPEEDS } from "./scenes.js";
+import { ALGORITHMS, SPEEDS, fixedBy } from "./scenes.js";
 import { TIMINGS } from "./timing.js";
 
 const titles = (list) => Object.entries(list).map(([name, entry]) => [name, entry.title ?? entry]);
@@ -89,7 +89,7 @@ export class Controls {
 
   /** Show the settings. @param {import("./scenes.js").Settings} settings @param {number} radius of the paper's ball */
   show(settings, radius) {
-    const fixed = CHALLENGES[settings.challenge]?.fixed ?? {};
+    const fixed = fixedBy(settings.challenge);
     for (const [key, { input, show }] of Object.entries(this.inputs)) {
       show(settings[key]);
       input.disabled = key in fixed && key !== "watch";

@@ -20,42 +20,40 @@ export function score(obs, reconstruction, scale) {
 }
 
 /**
- * Both networks see every observation, whatever is switched on, so that their memories stay in step with the episode
- * and a defence can be switched on in its middle.
+ * All networks see every observation, whatever is switched on, so that their memories stay in step with the episode and
+ * a defence can be switched on in its middle.
  */
 export class Defense {
   /**
-   * @param {import("./gruvae.js").GruVae} detector
+   * @param {{step: Function, reset: Function, obsStd: Float32Array}} detector
    * @param {number} threshold C_anomaly
-   * @param {import("./gruvae.js").GruVae} denoiser
+   * @param {Record<string, {step: Function, reset: Function}>} denoisers by their key in DEFENSES
    */
-  constructor(detector, threshold, denoiser) {
-    Object.assign(this, { detector, threshold, denoiser });
+  constructor(detector, threshold, denoisers) {
+    Object.assign(this, { detector, threshold, denoisers });
   }
 
   /** Begin a new episode. @param {number} seed */
   reset(seed) {
-    this.detector.reset(seed);
-    this.denoiser.reset(seed);
+    for (const part of [this.detector, ...Object.values(this.denoisers)]) part.reset(seed);
   }
 
   /**
    * The verdict on one observation.
-   * @param {Float32Array} shown what the sensors say
+   * @param {Float32Array} seen what the sensors say
+   * @param {?Float32Array} action what the policy did one step before
    * @param {string} kind a key of DEFENSES
-   * @param {Float32Array} truth for the oracle alone
-   * @param {boolean} attacked for the oracle alone
+   * @param {{truth: Float32Array, attacked: boolean}} secret for the oracle alone
+   * @returns {{obs: Float32Array, denoised: ?Float32Array, score: ?number, alarm: boolean}} obs is what the policy gets
    */
-  judge(shown, kind, truth, attacked) {
-    const error = score(shown, this.detector.step(shown), this.detector.obsStd);
-    const estimate = this.denoiser.step(shown);
-    if (kind === "oracle") {
-      return { obs: attacked ? truth : shown, denoised: truth, score: Number(attacked), alarm: attacked, threshold: 0.5 };
-    }
+  judge(seen, action, kind, { truth, attacked }) {
+    const error = score(seen, this.detector.step(seen), this.detector.obsStd);
+    const estimates = {};
+    for (const [name, denoiser] of Object.entries(this.denoisers)) estimates[name] = denoiser.step(seen, action);
+    if (kind === "none") return { obs: seen, denoised: null, score: null, alarm: false };
+    if (kind === "oracle") return { obs: attacked ? truth : seen, denoised: truth, score: Number(attacked), alarm: attacked };
     const alarm = error > this.threshold;
-    const verdict = { denoised: estimate, score: error, alarm, threshold: this.threshold };
-    if (kind === "mixed") return { ...verdict, obs: alarm ? estimate : shown };
-    if (kind === "detector") return { ...verdict, obs: shown, denoised: null };
-    return { obs: shown, denoised: null, score: null, alarm: false, threshold: null };
+    const denoised = estimates[kind] ?? null; // the detector alone has none
+    return { obs: alarm && denoised ? denoised : seen, denoised, score: error, alarm };
   }
 }

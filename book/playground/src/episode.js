@@ -53,18 +53,16 @@ export class Episode {
     const found = this.attack.perturb(true_); // even if it is not used: its random numbers belong to the step
     const attacked = strikes && conditions.attack !== "none";
     const perturbed = attacked ? found : true_;
-    const verdict = defense.judge(perturbed, conditions.defense, true_, attacked);
+    const verdict = defense.judge(perturbed, this.last?.action ?? null, conditions.defense, { truth: true_, attacked });
     const action = victim.act(verdict.obs);
     const { obs, reward, fallen } = this.world.step(action);
-    this.last = {
-      true: true_, perturbed, denoised: verdict.denoised, shown: verdict.obs, action, reward, value, attacked,
-      alarm: verdict.alarm, score: verdict.score, threshold: verdict.threshold,
-    };
+    const { denoised, score, alarm } = verdict;
+    this.last = { true: true_, perturbed, denoised, shown: verdict.obs, action, reward, value, attacked, score, alarm };
     this.obs = obs;
     this.steps += 1;
     this.return += reward;
     this.strikes += Number(attacked);
-    this.alarms += Number(verdict.alarm);
+    this.alarms += Number(alarm);
     this.fallen = fallen;
     return this.last;
   }

@@ -30,12 +30,9 @@ export class GruVae {
     this.random = new Random(this.purpose, seed);
   }
 
-  /**
-   * @param {Float32Array} obs the next observation, raw
-   * @param {ArrayLike<number>} noise standard normal, makes the latent sample; drawn if it is not given
-   * @returns {Float32Array} the output, raw
-   */
-  step(obs, noise = this.random.normals(this.mean.length)) {
+  /** The output for the next observation, both raw. @param {Float32Array} obs @returns {Float32Array} */
+  step(obs) {
+    const noise = this.random.normals(this.mean.length);
     const scored = Float64Array.from(obs, (x, i) => (x - this.obsMean[i]) / this.obsStd[i]);
     const encoded = this.encoder.step(scored);
     affine(this.toMean, encoded, this.mean);

@@ -81,6 +81,11 @@ export const CHALLENGES = {
   },
 };
 
+/** What a challenge leaves no choice of. @param {string} challenge @returns {Partial<Settings>} */
+export function fixedBy(challenge) {
+  return challenge ? { compare: false, ...CHALLENGES[challenge].fixed } : {};
+}
+
 const LISTS = { robot: ROBOTS, algo: ALGORITHMS, attack: ATTACKS, timing: TIMINGS, defense: DEFENSES, speed: SPEEDS, challenge: CHALLENGES };
 const RANGES = { steps: [1, 50], epsilon: [0, 2], rate: [0, 1], seed: [0, 1e6] };
 
@@ -116,13 +121,13 @@ export function readQuery(query) {
     else if (key === "offset") settings.offset = readOffset(text);
   }
   for (const whole of ["steps", "seed"]) settings[whole] = Math.round(settings[whole]);
-  return { ...settings, ...CHALLENGES[settings.challenge]?.fixed };
+  return { ...settings, ...fixedBy(settings.challenge) };
 }
 
 /** The link's query for settings: what differs from the defaults. @param {Settings} settings */
 export function writeQuery(settings) {
   const query = new URLSearchParams();
-  const fixed = CHALLENGES[settings.challenge]?.fixed ?? {};
+  const fixed = fixedBy(settings.challenge);
   for (const [key, value] of Object.entries(settings)) {
     const text = key === "offset" ? writeOffset(value) : key === "compare" ? (value ? "1" : "") : String(value);
     const usual = key === "offset" || key === "compare" ? "" : String(DEFAULTS[key]);
