@@ -116,11 +116,12 @@ def visit_html(translator: HTML5Translator, node: moving_picture) -> None:
     if node.get("recording"):
         viewer = html.escape(f"{root}{FOLDER}/viewer.html?recording=../../_downloads/{node['recording']}")
         stage, megabytes = f"recording-{node['number']}", f"{node['bytes'] / 1e6:.1f} MB"
+        file = html.escape(f"{downloads}/{node['recording']}")
         parts.append(
             f'<div class="recording-bar"><button type="button" aria-expanded="false" aria-controls="{stage}" '
             f'data-viewer="{viewer}" data-title="Recording: {alt}">Open the recording</button>'
             f'<a href="{viewer}" target="_blank" rel="noopener">in a tab of its own</a>'
-            f'<a href="{html.escape(downloads)}/{html.escape(node["recording"])}" download>download it ({megabytes})</a></div>'
+            f'<a href="{file}" download>download it ({megabytes})</a></div>'
             f'<div class="recording-stage" id="{stage}" hidden><p>{HELP}</p></div>'
         )
     translator.body.append("".join(parts) + "<figcaption>")

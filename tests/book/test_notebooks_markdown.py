@@ -50,8 +50,8 @@ def labels():
             "![three robots](../data/f/h.png)\n\nThey hop.\n",
         ),
         (
-            "```{playground} scene=fall\n:still: ../../data/f/h.png\n:alt: a robot\nFell {scene}`it <scene=fall>`.\n```",
-            "![a robot](../data/f/h.png)\n\nFell it.\n",
+            "```{playground} scene=fall\n:still: ../../data/f/h.png\n:alt: one\nFell {scene}`it <scene=fall>`.\n```",
+            "![one](../data/f/h.png)\n\nFell it.\n",
         ),
     ],
 )
