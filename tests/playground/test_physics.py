@@ -58,3 +58,13 @@ def test_the_defence_keeps_a_robot_on_its_leg_that_falls_without(ask):
     )
     assert all(episode["fallen"] and episode["alarms"] == 0 for episode in bare)
     assert all(not episode["fallen"] and episode["alarms"] > 500 for episode in defended)
+
+
+def test_a_timing_strikes_when_it_says(ask):
+    about = dict(ask="episodes", seeds=[1, 2], attack="uniform", epsilon=0.0)
+    timings = [dict(timing="random", rate=0.25), dict(timing="after"), dict(timing="key"), dict(timing="vulnerable")]
+    chance, after, key, vulnerable = ask("hopper-td3", *(about | timing for timing in timings))
+    assert all(200 < episode["strikes"] < 300 for episode in chance)
+    assert all(episode["strikes"] == episode["steps"] - 100 for episode in after)
+    assert not any(episode["strikes"] for episode in key)
+    assert all(0 < episode["strikes"] < 100 for episode in vulnerable)  # its threshold strikes at few steps

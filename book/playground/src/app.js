@@ -5,6 +5,7 @@ import { Controls } from "./controls.js";
 import { h } from "./dom.js";
 import { Hands } from "./hands.js";
 import { Lane } from "./lane.js";
+import { layOut } from "./layout.js";
 import { ROBOTS, World } from "./robot.js";
 import { ALGORITHMS, CHALLENGES, judge, readQuery, writeQuery } from "./scenes.js";
 import { drawTraces, panels } from "./traces.js";
@@ -28,39 +29,12 @@ class Playground {
     this.assets = new Assets(base);
     this.controls = new Controls((key, value) => this.change(key, value));
     this.hands = new Hands(this);
-    this.#build(folded);
-    this.#watchTheme();
-  }
-
-  #build(folded) {
-    const button = (text, act, more = {}) => h("button", { type: "button", onclick: act, ...more }, text);
-    this.runButton = button("Run", () => this.run(!this.running), { class: "pg-run", "aria-keyshortcuts": "P" });
-    this.strikeButton = button("Attack", () => {}, { "aria-keyshortcuts": "A", hidden: true });
+    Object.assign(this, layOut(this, folded));
+    root.replaceChildren(this.element);
     this.hands.hold(this.strikeButton);
-    this.robots = h("div", { class: "pg-robots" });
-    this.status = h("p", { class: "pg-status", role: "status" });
-    this.traces = h("canvas", { class: "pg-traces", role: "img" });
-    this.challenge = h("div", { class: "pg-challenge", hidden: true });
-    this.address = h("a", { class: "pg-link" }, "link to these settings");
-    const bar = h(
-      "div",
-      { class: "pg-bar", role: "group", "aria-label": "Episode" },
-      this.runButton,
-      button("Step", () => this.single(), { "aria-keyshortcuts": "S" }),
-      button("Restart", () => this.restart(), { "aria-keyshortcuts": "R" }),
-      button("Push back", () => this.hands.shove(-1)),
-      button("Push forward", () => this.hands.shove(1)),
-      this.strikeButton,
-    );
-    const key = (name, text) => h("li", { class: `pg-key-${name}` }, text);
-    const legend = h("ul", { class: "pg-legend" }, key("true", "the robot, and what is true"), key("shown", "what the policy’s sensors show"), key("denoised", "what the denoiser believes"));
-    const keys = h("p", { class: "pg-help" }, "Keys: P run or pause, S one step, R restart, A attack (held), and with the picture in focus ← and → push. Drag the robot to push it; with an offset that you hold, drag the dashed robot to bend it. ", this.address);
-    const form = folded ? h("details", {}, h("summary", {}, "Settings"), this.controls.element) : this.controls.element;
-    this.element = h("div", { class: "pg" }, this.challenge, this.robots, legend, bar, this.status, this.traces, form, keys);
-    this.root.replaceChildren(this.element);
     this.hands.listen(this.element);
-    this.element.addEventListener("focusout", () => this.hands.release());
     new ResizeObserver(() => this.draw()).observe(this.element);
+    this.#watchTheme();
   }
 
   #watchTheme() {

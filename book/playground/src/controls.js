@@ -22,6 +22,7 @@ export class Controls {
     this.element = h(
       "form",
       { class: "pg-controls", onsubmit: (event) => event.preventDefault() },
+      this.offsetGroup,
       group("Robot", this.#select("robot", "robot", titles(ROBOTS)), this.#select("algo", "policy", titles(ALGORITHMS)), this.#number("seed", "seed", 0, 1e6)),
       group(
         "Attack",
@@ -33,7 +34,6 @@ export class Controls {
       ),
       group("Defence", this.#select("defense", "defence", titles(DEFENSES)), this.#check("compare", "beside a bare robot")),
       group("View", this.#select("watch", "trace of", []), this.#select("speed", "speed", titles(SPEEDS))),
-      this.offsetGroup,
     );
   }
 

@@ -35,6 +35,7 @@ export class Hands {
   listen(element) {
     element.addEventListener("keydown", (event) => this.#key(event));
     element.addEventListener("keyup", (event) => event.key.toLowerCase() === "a" && this.release());
+    element.addEventListener("focusout", () => this.release());
     element.addEventListener("pointerdown", (event) => this.#grab(event));
     element.addEventListener("pointermove", (event) => this.#move(event));
     for (const end of ["pointerup", "pointercancel"]) element.addEventListener(end, () => this.#drop());
