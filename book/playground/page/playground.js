@@ -16,7 +16,8 @@ async function open(figure) {
     const playground = await mounted;
     if (!now) playground.runButton.focus({ preventScroll: true });
   } catch (error) {
-    button.textContent = "The playground did not load; try again";
+    const served = location.protocol !== "file:";
+    button.textContent = served ? "The playground did not load; try again" : "The playground needs a server: make book";
     button.disabled = false;
     console.warn(error);
   }

@@ -54,6 +54,7 @@ class Playground {
     this.say("Loading the robot and MuJoCo …");
     this.element.setAttribute("aria-busy", "true");
     try {
+      this.assets.mujoco().catch(() => {}); // beside the victim; a failure is met when the robot needs it
       const brought = await this.assets.victim(task, algo);
       const robot = await this.assets.robot(task, brought.card.model);
       if (task !== this.settings.robot || algo !== this.settings.algo) return; // another one was chosen meanwhile
