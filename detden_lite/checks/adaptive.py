@@ -6,8 +6,10 @@ import torch
 from torch import Tensor
 
 from detden_lite.checks.compare import array, compare
+from detden_lite.checks.failure import explained
 
 
+@explained
 def check_hidden(hidden: Callable[[Callable, Tensor, Tensor, Tensor], Tensor]) -> None:
     """``hidden(det, obs, perturbed, scale)`` is large where the detector sees little of the attack, ``[N]``."""
     shift = torch.tensor([0.3, -0.2, 0.5])
@@ -33,6 +35,8 @@ def check_hidden(hidden: Callable[[Callable, Tensor, Tensor, Tensor], Tensor]) -
         "Divide by scale: the detector's score is z-scored": -deviation.abs().amax(-1),
         "Divide by scale, do not multiply": -(deviation * scale).abs().amax(-1),
         "The score is the LARGEST deviation; that is the mean": -(deviation / scale).abs().mean(-1),
+        "The score is the LARGEST deviation in size; that is the l2 norm of all": -(deviation / scale).norm(dim=-1),
+        "The score is the LARGEST deviation; those are the squares": -(deviation / scale).square().amax(-1),
         "The score is the LARGEST deviation; that is the sum": -(deviation / scale).abs().sum(-1),
         "The score is the largest deviation in size: abs() before amax": -(deviation / scale).amax(-1),
         "A deviation may have either sign: abs() before amax": -(-deviation / scale).amax(-1),
@@ -44,9 +48,25 @@ def check_hidden(hidden: Callable[[Callable, Tensor, Tensor, Tensor], Tensor]) -
     assert getattr(got, "requires_grad", False), (
         f"{call} has no gradient: without `no_grad` and `detach`, autograd finds it through the detector"
     )
+    (gradient,) = torch.autograd.grad(got.sum(), perturbed, retain_graph=True)
+    hints = {
+        "det(perturbed) is detached: the attacker knows the detector, and its gradient flows through it": (
+            torch.autograd.grad(-((perturbed - det(perturbed).detach()) / scale).abs().amax(-1).sum(), perturbed)[0]
+        ),
+        "Only the gradient through det is left: perturbed itself is detached": (
+            torch.autograd.grad(-((perturbed.detach() - det(perturbed)) / scale).abs().amax(-1).sum(), perturbed)[0]
+        ),
+    }
+    compare(
+        f"the gradient of {call} with respect to perturbed",
+        gradient,
+        torch.autograd.grad(-(deviation / scale).abs().amax(-1).sum(), perturbed)[0],
+        hints,
+    )
     print("Right. It is large where the score is small, and it does not use obs, which no detector knows.")
 
 
+@explained
 def check_eot_gradient(eot_gradient: Callable[[Callable, Tensor, Tensor], Tensor]) -> None:
     """``eot_gradient(damage, perturbed, noises)`` is the gradient of the mean damage over K samples, like perturbed."""
     draw = torch.Generator().manual_seed(0)
@@ -77,17 +97,12 @@ def check_eot_gradient(eot_gradient: Callable[[Callable, Tensor, Tensor], Tensor
         ),
     }
     call = "eot_gradient(damage, perturbed, noises)"
-    try:
-        got = eot_gradient(damage, perturbed.clone(), noises)
-    except RuntimeError as error:
-        assert "does not require grad" not in str(error), (
-            f"{call}: autograd follows only what requires a gradient; begin with perturbed.detach().requires_grad_()"
-        )
-        raise
+    got = eot_gradient(damage, perturbed.clone(), noises)
     compare(call, got, right, mistakes)
     print("Right. An attacker averages the noise out, so the noise is no protection.")
 
 
+@explained
 def check_straight_through(straight_through: Callable[[Callable, Tensor], Tensor]) -> None:
     """``straight_through(defense, perturbed)`` is defense(perturbed), and its gradient the identity's."""
 

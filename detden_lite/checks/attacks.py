@@ -6,9 +6,11 @@ import torch
 from torch import Tensor
 
 from detden_lite.checks.compare import array, compare
+from detden_lite.checks.failure import explained
 from detden_lite.core.budget import Budget
 
 
+@explained
 def check_project_l2(project: Callable[[Tensor, Tensor, float], Tensor]) -> None:
     """``project(obs, perturbed, epsilon)`` is the nearest point of the l2 ball around each row of ``obs``."""
     obs = torch.tensor([[1.0, 2.0], [0.0, 0.0], [5.0, 5.0]])
@@ -36,6 +38,7 @@ def check_project_l2(project: Callable[[Tensor, Tensor, float], Tensor]) -> None
     print("Right. Points inside the ball stay, points outside move straight to its border.")
 
 
+@explained
 def check_opposite(opposite: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None:
     """``opposite(mean, seen, action_std)`` is l_op of a Gaussian policy with diagonal covariance, ``[N]``."""
     mean = torch.tensor([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
@@ -52,6 +55,8 @@ def check_opposite(opposite: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None
         ),
         "That is the KL divergence; l_op is twice as large": (step / std).square().sum(-1) / 2,
         "One number for every observation: sum over the actions, do not average": (step / std).square().mean(-1),
+        "The sign is turned: the attacker makes l_op large, and it is never negative": -(step / std).square().sum(-1),
+        "Square before you sum, or differences of opposite signs cancel": (step / std).sum(-1).square(),
     }
     got = opposite(mean, seen, std)
     call = "opposite([[0, 0, 0], [1, 1, 1]], [[1, 1, 2], [1, 3, 2]], action_std=[0.5, 2, 1])"
@@ -65,6 +70,7 @@ def check_opposite(opposite: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None
     print("Right. Half of this is the KL divergence between the two Gaussians.")
 
 
+@explained
 def check_fgsm(fgsm: Callable[[Tensor, Tensor, Tensor, float], Tensor]) -> None:
     """``fgsm(gain, obs, start, epsilon)`` is one FGSM step on l_op of the policy a = gain o, from obs + start."""
     gain = torch.tensor([[1.0, -2.0, 0.0], [0.0, 1.0, 0.5]])
@@ -78,6 +84,9 @@ def check_fgsm(fgsm: Callable[[Tensor, Tensor, Tensor, float], Tensor]) -> None:
             obs + start + epsilon * sign
         ),
         "At obs itself the objective's gradient is zero, and the sign of 0 is 0: take the gradient at obs + start": obs,
+        "That is the start, without a step. Was the gradient taken at obs itself? It is zero there, and the sign of 0 "
+        "is 0: take it at obs + start": obs + start,
+        "The step is missing its start: obs + start, and from there a step": obs + epsilon * sign,
         "That is gradient descent: the step must increase the objective": obs
         + (start - epsilon * sign).clamp(-epsilon, epsilon),
         "The result lies around 0, and the centre of the ball is obs": (start + epsilon * sign).clamp(
@@ -89,7 +98,6 @@ def check_fgsm(fgsm: Callable[[Tensor, Tensor, Tensor, float], Tensor]) -> None:
         "The objective is how far the action moves, gain @ start, not the action itself": (
             obs + (start + epsilon * at_once).clamp(-epsilon, epsilon)
         ),
-        "That is the start, without a step": obs + start,
     }
     expected = obs + (start + epsilon * sign).clamp(-epsilon, epsilon)
     compare("fgsm(gain, obs, start, 0.1)", fgsm(gain, obs, start, epsilon), expected, mistakes)
@@ -109,6 +117,7 @@ def check_fgsm(fgsm: Callable[[Tensor, Tensor, Tensor, float], Tensor]) -> None:
     print(f"Right. The action moves by {after:.2f} on average, by {before:.2f} under noise.")
 
 
+@explained
 def check_vulnerable(vulnerable: Callable) -> None:
     """``vulnerable(policy, q, obs, c_vul)`` is 1_vul of a deterministic policy, ``[N]`` bool."""
 

@@ -7,18 +7,22 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from detden_lite.checks.compare import array, compare
+from detden_lite.checks.compare import array, compare, parts
+from detden_lite.checks.failure import explained
 from detden_lite.theory.bound import total_variation
 from detden_lite.theory.finite_mdp import FiniteMDP
 
 
+@explained
 def check_counterexample(counterexample: Callable[[float], tuple[FiniteMDP, np.ndarray]]) -> None:
     """``counterexample(gamma)`` is an MDP and a constant policy whose values differ."""
     for gamma in (0.5, 0.9):
         result = counterexample(gamma)
-        pair = isinstance(result, tuple) and len(result) == 2 and isinstance(result[0], FiniteMDP)
-        assert pair, f"counterexample({gamma}) should give two things: a FiniteMDP, and the policy [S, A]"
-        mdp, policy = result[0], array("the policy", result[1])
+        mdp, policy = parts(f"counterexample({gamma})", result, "a FiniteMDP", "the policy [S, A]")
+        assert isinstance(mdp, FiniteMDP), (
+            f"counterexample({gamma}) gives a {type(mdp).__name__} first, and should give a FiniteMDP"
+        )
+        policy = array(f"the policy of counterexample({gamma})", policy)
         assert mdp.gamma == gamma, f"the MDP's gamma is {mdp.gamma}; it should be the one that is given, {gamma}"
         states, actions, _ = mdp.reward.shape
         assert policy.shape == (states, actions), (
@@ -44,13 +48,14 @@ def check_counterexample(counterexample: Callable[[float], tuple[FiniteMDP, np.n
     )
 
 
+@explained
 def check_exact_and_pinsker(exact_and_pinsker: Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]) -> None:
     """``exact_and_pinsker(mean_1, mean_2, std)`` is the exact TV and Pinsker's bound of it, ``[N]`` each."""
     mean_1 = torch.tensor([[0.0, 0.0], [0.3, -0.2], [1.0, 1.0]])
     mean_2 = torch.tensor([[0.1, 0.0], [0.3, -0.2], [0.0, 2.0]])
     std = torch.tensor([0.2, 0.5])
-    result = exact_and_pinsker(mean_1, mean_2, std)
-    assert isinstance(result, tuple) and len(result) == 2, "give two things: the exact TV and Pinsker's bound"
+    call = "exact_and_pinsker(mean_1, mean_2, std)"
+    result = parts(call, exact_and_pinsker(mean_1, mean_2, std), "the exact TV", "Pinsker's bound")
     moved = mean_2 - mean_1
     distance = (moved / std).norm(dim=-1)
     wrong = {
@@ -81,13 +86,14 @@ def check_exact_and_pinsker(exact_and_pinsker: Callable[[Tensor, Tensor, Tensor]
 STEPS = ("Pinsker", "C_1", "C_2", "Lipschitz")
 
 
+@explained
 def check_false_step(false_step: Callable[[], tuple[str, tuple, tuple, float, float]]) -> None:
     """``false_step()`` is (step, (mean, variance), (mean, variance), the KL, what C_1 multiplies)."""
-    result = false_step()
-    assert isinstance(result, tuple) and len(result) == 5, (
-        "give five things: the step, (mean_1, variance_1), (mean_2, variance_2), the KL, and what C_1 multiplies"
-    )
-    step, (mean_1, var_1), (mean_2, var_2), kl, right = result
+    names = ("the step", "(mean_1, variance_1)", "(mean_2, variance_2)", "the KL", "what C_1 multiplies")
+    step, first, second, kl, right = parts("false_step()", false_step(), *names)
+    mean_1, var_1 = (float(number) for number in parts(f"{names[1]} of false_step()", first, "mean", "variance"))
+    mean_2, var_2 = (float(number) for number in parts(f"{names[2]} of false_step()", second, "mean", "variance"))
+    kl, right = (float(array(name, number)) for name, number in ((names[3], kl), (names[4], right)))
     assert step in STEPS, f"the step is one of {', '.join(STEPS)}; yours is {step!r}"
     reasons = {
         "Pinsker": "Pinsker's inequality holds for any two distributions. Look further down",

@@ -6,12 +6,14 @@ import torch
 from torch import Tensor
 
 from detden_lite.checks.compare import array, compare
+from detden_lite.checks.failure import explained
 from detden_lite.core.budget import Budget
 from detden_lite.defense.gruvae import GRUVAE, kl_divergence, reconstruction_loss
 from detden_lite.training.regularizer import Regularizer
 from detden_lite.victims.victim import Victim
 
 
+@explained
 def check_r_ppo(r_ppo: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None:
     """``r_ppo(action, reference, std)`` is R_ppo of each observation, ``[N, steps]``; std is ``[action_dim]``."""
     draw = torch.Generator().manual_seed(0)
@@ -34,6 +36,7 @@ def check_r_ppo(r_ppo: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None:
     print("Right. Half the standard deviation makes the same difference count four times as much.")
 
 
+@explained
 def check_training_loss(training_loss: Callable[..., Tensor]) -> None:
     """``training_loss(model, regularizer, true, perturbed, mask, noise, beta, lam)`` is the loss that Adam minimises.
 
@@ -98,6 +101,7 @@ def check_training_loss(training_loss: Callable[..., Tensor]) -> None:
     print("Right. Both terms must become small, so both are added; with lam = 0 this is chapter 4's loss.")
 
 
+@explained
 def check_survives(survives: Callable[[Tensor, Tensor], Tensor]) -> None:
     """``survives(action, denoised_action)`` is the share of the actions' variance that is left, a number up to 1."""
     draw = torch.Generator().manual_seed(0)
@@ -108,10 +112,14 @@ def check_survives(survives: Callable[[Tensor, Tensor], Tensor]) -> None:
     def total(x: Tensor) -> Tensor:
         return (x - x.mean(0)).square().sum()
 
+    def squared_correlation(a: Tensor, b: Tensor) -> Tensor:
+        a, b = a - a.mean(), b - b.mean()
+        return (a * b).sum().square() / (a.square().sum() * b.square().sum()).clamp_min(1e-12)
+
     for name, other, expected in (
         ("the same actions", action, 1.0),
-        ("the mean action for every observation", mean.expand_as(action), 0.0),
         ("actions that vary less", shrunk, 0.84),
+        ("the mean action for every observation", mean.expand_as(action), 0.0),
         ("actions with errors", away, float(1 - (away - action).square().sum() / total(action))),
     ):
         wrong = (other - action).square().sum()
@@ -128,6 +136,18 @@ def check_survives(survives: Callable[[Tensor, Tensor], Tensor]) -> None:
             "Divide by how much the TRUE actions vary, not the denoised ones": 1 - wrong / spread,
             "var divides by n - 1; take unbiased=False, or the mean of squares": (
                 1 - (other - action).square().mean(0).sum() / action.var(0).sum()
+            ),
+            "That is the squared correlation. It forgives actions that are too small or shifted; take the errors": (
+                squared_correlation(action.flatten(), other.flatten())
+            ),
+            "That is the mean of the actions' squared correlations. It forgives actions that are too small or "
+            "shifted; take the errors": (
+                torch.stack([squared_correlation(a, b) for a, b in zip(action.T, other.T, strict=True)]).mean()
+            ),
+            "That is the correlation of the actions. It forgives actions that are too small or shifted; take the "
+            "errors": squared_correlation(action.flatten(), other.flatten()).sqrt(),
+            "That is the mean of the actions' own shares (R^2); sum over the actions before you divide": (
+                1 - ((other - action).square().sum(0) / (action - mean).square().sum(0)).mean()
             ),
             "Square the differences": 1 - (other - action).abs().sum() / (action - mean).abs().sum(),
         }

@@ -6,10 +6,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from detden_lite.checks.compare import array, compare
+from detden_lite.checks.compare import compare, parts
+from detden_lite.checks.failure import explained
 from detden_lite.core.metrics import detector_scores
 
 
+@explained
 def check_kept_share(kept_share: Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[float, float, float]]) -> None:
     """``kept_share(defended, clean, drawn)`` is the share that is kept and both ends of its paired interval."""
     rng = np.random.default_rng(0)
@@ -24,10 +26,11 @@ def check_kept_share(kept_share: Callable[[np.ndarray, np.ndarray, np.ndarray], 
     quotients = defended / clean
     alone = defended[drawn].mean(1) / clean.mean()
     right = ends(ratios)
-    given = kept_share(defended, clean, drawn)
-    assert not isinstance(given, tuple) or [np.ndim(part) for part in given] == [0, 0, 0], (
-        "kept_share(defended, clean, drawn) gives three numbers: the share, the lower end, the upper end"
-    )
+    call = "kept_share(defended, clean, drawn)"
+    given = parts(call, kept_share(defended, clean, drawn), "the share", "the lower end", "the upper end")
+    assert [np.ndim(part) for part in given] == [0, 0, 0], f"{call} gives arrays; it should give three numbers"
+    apart = [np.quantile(returns[drawn].mean(1), [0.025, 0.975]) for returns in (defended, clean)]
+    shuffled = clean[np.roll(drawn, 1, 0)].mean(1)
     mistakes = {
         "That is the mean of the episodes' ratios; it should be the ratio of the two means": (
             quotients.mean(),
@@ -37,6 +40,13 @@ def check_kept_share(kept_share: Callable[[np.ndarray, np.ndarray, np.ndarray], 
             quotients[drawn].mean(1)
         ),
         "The clean mean is the same in every resample: use the drawn episodes of clean too": ends(alone),
+        "Each is resampled by itself here. Both were measured in the same episodes: take the ratio in each resample, "
+        "and the quantiles of the ratios": (right[0], *(apart[0] / apart[1])),
+        "Each is resampled by itself, and the worst is combined with the best. Both were measured in the same "
+        "episodes: take the ratio in each resample": (right[0], *(apart[0] / apart[1][::-1])),
+        "The row of defended belongs to the same row of clean: the same episodes, in pairs": ends(
+            defended[drawn].mean(1) / shuffled
+        ),
         "That interval holds 90 % of the resamples: leave 2.5 % on either side": ends(ratios, 0.05),
         "Those are the smallest and the largest resample: leave 2.5 % on either side": ends(ratios, 0),
         "The first number is the mean of the resamples; take the ratio of the episodes' means": (
@@ -47,26 +57,38 @@ def check_kept_share(kept_share: Callable[[np.ndarray, np.ndarray, np.ndarray], 
             defended[drawn].mean(0) / clean[drawn].mean(0)
         ),
     }
-    compare("kept_share(defended, clean, drawn)", given, right, mistakes, atol=1e-9)
-    wide = np.ptp(defended[drawn].mean(1) / clean[np.roll(drawn, 1, 0)].mean(1))
+    compare(call, given, right, mistakes, atol=1e-9)
+    wide = np.ptp(defended[drawn].mean(1) / shuffled)
     print(
         f"Right. These returns rise and fall together, so pairing pays: resampled separately, the ratios range over "
         f"{wide:.2f}, resampled together over {np.ptp(ratios):.2f}."
     )
 
 
+@explained
 def check_worst_elsewhere(worst_elsewhere: Callable[[np.ndarray, np.ndarray], float]) -> None:
     """``worst_elsewhere(chosen_on, reported_on)``: attacks in the rows; the columns are different episodes."""
     chosen_on = np.array(
         [[7, 9, 8, 7, 5], [10, 12, 11, 10, 2], [6, 6, 6, 6, 5], [20, 20, 20, 20, 4], [9, 9, 8, 9, 6.0]]
+        + [[3, 4, 4, 14, 15]]
     )
-    reported_on = np.array([[3, 1, 5, 4, 2], [9, 0, 3, 4, 6], [6, 7, 8, 9, 7], [9, 9, 9, 9.6, 9], [5, 8, 6, 7, 4]])
+    reported_on = np.array(
+        [[3, 1, 5, 4, 2], [9, 0, 3, 4, 6], [6.5, 7, 8, 9, 7], [9, 9, 9, 9.6, 9], [5, 8, 6, 7, 4], [2, 9, 4, 10, 5.5]]
+    )
     worst = chosen_on.mean(1).argmin()
     mistakes = {
         "The attack is chosen on the episodes that it is reported on": reported_on.mean(1).min(),
         "The right attack, but reported on the episodes that it was chosen on": chosen_on[worst].mean(),
         "Another attack is chosen in every episode: average over the episodes first": reported_on.min(0).mean(),
         "The attack is chosen by its worst episode; choose it by its mean": reported_on[1].mean(),
+        "The attack is chosen by its median: what is reported is a mean, so choose by the mean": (
+            reported_on[np.median(chosen_on, 1).argmin()].mean()
+        ),
+        "The right attack, and its median: report its mean": np.median(reported_on[worst]),
+        "The attack is chosen by its median, and its median is reported: take the mean twice": (
+            np.median(reported_on[np.median(chosen_on, 1).argmin()])
+        ),
+        "That is the worst episode of the right attack: report its mean": reported_on[worst].min(),
         "That attack leaves the most; the worst one leaves the least": reported_on[chosen_on.mean(1).argmax()].mean(),
         "That is the mean over all attacks": reported_on.mean(),
         "That is which attack is the worst; report what it leaves": worst,
@@ -80,6 +102,7 @@ def check_worst_elsewhere(worst_elsewhere: Callable[[np.ndarray, np.ndarray], fl
     )
 
 
+@explained
 def check_f1(f1: Callable[[float, float, float], float]) -> None:
     """``f1(rate, misses, false_alarms)`` is the F1 of a detector with these error rates at this attack rate."""
     for attacked, missed, clean, false in ((20, 5, 80, 8), (100, 1, 9_900, 99), (990, 0, 10, 10), (50, 49, 50, 1)):
@@ -122,6 +145,7 @@ def check_f1(f1: Callable[[float, float, float], float]) -> None:
     )
 
 
+@explained
 def check_felt(felt: Callable[[Callable[[Tensor], Tensor], Tensor, Tensor], Tensor]) -> None:
     """``felt(policy, obs, denoised)`` is how far each number's error alone moves the action, ``[obs_dim]``."""
     draw = torch.Generator().manual_seed(0)
@@ -160,8 +184,5 @@ def check_felt(felt: Callable[[Callable[[Tensor], Tensor], Tensor, Tensor], Tens
             [(policy(mixed) - policy(obs)).mean(0).norm() for mixed in swapped(obs, denoised)]
         ),
     }
-    given = obs.clone()
-    result = array("felt(policy, obs, denoised)", felt(policy, given, denoised))
-    assert torch.equal(given, obs), "obs itself was changed; work on a copy of it: obs.clone()"
-    compare("felt(policy, obs, denoised)", result, right, mistakes)
+    compare("felt(policy, obs, denoised)", felt(policy, obs, denoised), right, mistakes)
     print("Right. It shows number by number what a mean over all numbers hides.")

@@ -7,10 +7,12 @@ import torch
 from torch import Tensor
 
 from detden_lite.checks.compare import array, compare
+from detden_lite.checks.failure import explained
 
 
-def check_q_objective(q_objective: Callable[[Callable, Callable, Tensor, Tensor], Tensor]) -> None:
-    """``q_objective(policy, q, obs, perturbed)`` is what the Q-function attack maximises, ``[N]``."""
+@explained
+def check_q_objective(q_objective_by_hand: Callable[[Callable, Callable, Tensor, Tensor], Tensor]) -> None:
+    """``q_objective_by_hand(policy, q, obs, perturbed)`` is what the Q-function attack maximises, ``[N]``."""
 
     def policy(obs: Tensor) -> Tensor:
         return 2 * obs[:, :1]
@@ -36,8 +38,8 @@ def check_q_objective(q_objective: Callable[[Callable, Callable, Tensor, Tensor]
             q(obs, policy(obs)) - q(obs, policy(perturbed))
         ),
     }
-    call = "q_objective(policy, q, obs, perturbed)"
-    got = q_objective(policy, q, obs, perturbed)
+    call = "q_objective_by_hand(policy, q, obs, perturbed)"
+    got = q_objective_by_hand(policy, q, obs, perturbed)
     assert array(call, got).shape != (), f"{call} gives one number for both observations; each has its own"
     compare(call, got, [-23.0, -11.0], {hint: wrong.detach() for hint, wrong in mistakes.items()})
     assert getattr(got, "requires_grad", False), (
@@ -48,13 +50,14 @@ def check_q_objective(q_objective: Callable[[Callable, Callable, Tensor, Tensor]
     print("Right. The gradient flows through the policy alone, and Q is given the true observation.")
 
 
+@explained
 def check_refit(refit: Callable[[np.ndarray, np.ndarray, int], np.ndarray]) -> None:
     """``refit(plans, returns, elites)`` is the next mean of a cross-entropy search for a small return, ``[dim]``.
 
     The best of the elites weighs ``elites``, the next one less, and so on to the last, which weighs 1.
     """
     plans = np.array([[4.0, 0.0], [0.0, 8.0], [2.0, 2.0], [-6.0, 6.0]])
-    returns = np.array([3.0, 1.0, 9.0, 2.0])  # from best to worst for the attacker: 1, 3, 0, 2
+    returns = np.array([3.5, 1.0, 9.0, 2.0])  # from best to worst for the attacker: 1, 3, 0, 2
     order = returns.argsort()
     best, falling = plans[order[:3]], np.array([3.0, 2.0, 1.0])
     released = np.array([0.0, 1.0, 2.0])
@@ -70,6 +73,15 @@ def check_refit(refit: Callable[[np.ndarray, np.ndarray, int], np.ndarray]) -> N
         "All elites weigh the same here": best.mean(0),
         "The weights must sum to 1": falling @ best,
         "The weights are given to the first plans; sort the plans by their returns before": falling / 6 @ plans[:3],
+        "The weights are a softmax of 3, 2, 1; they are proportional to them: divide by their sum": (
+            np.exp(falling) / np.exp(falling).sum() @ best
+        ),
+        "The weights are a softmax of the returns; they depend on the RANK alone: 3, 2, 1 over their sum": (
+            np.exp(-returns[order[:3]]) / np.exp(-returns[order[:3]]).sum() @ best
+        ),
+        "The weights are a softmax over all plans; only the elites count, by their rank": (
+            np.exp(-returns) / np.exp(-returns).sum() @ plans
+        ),
         "That is the best plan alone; the mean of the elites depends less on chance": best[0],
     }
     compare("refit(plans, returns, 3)", refit(plans.copy(), returns.copy(), 3), [-4 / 3, 6.0], mistakes)
@@ -81,12 +93,11 @@ def check_refit(refit: Callable[[np.ndarray, np.ndarray, int], np.ndarray]) -> N
     print("Right. The mean moves towards the plans with the smallest returns.")
 
 
+@explained
 def check_adversary_step(adversary_step: Callable[..., Tensor]) -> None:
     """``adversary_step(output, obs, struck, policy, world, epsilon)`` is the adversary's reward, ``[N]``."""
-    seen = []
 
     def policy(obs: Tensor) -> Tensor:
-        seen.append(obs.clone())
         return obs.sum(-1, keepdim=True)
 
     def world(action: Tensor) -> Tensor:
@@ -127,10 +138,10 @@ def check_adversary_step(adversary_step: Callable[..., Tensor]) -> None:
     }
     call = "adversary_step(output, obs, struck, policy, world, 0.1)"
     compare(call, adversary_step(output.clone(), obs.clone(), struck, policy, world, epsilon), right, mistakes)
-    assert len(seen) == 1, f"the policy was asked {len(seen)} times: in a step it acts once"
     print("Right. To a learner this is an ordinary environment, whose actions are perturbations.")
 
 
+@explained
 def check_director_step(director_step: Callable[..., Tensor]) -> None:
     """``director_step(direction, obs, struck, follow, policy, world)`` is the director's reward, ``[N]``."""
 
@@ -182,6 +193,7 @@ def check_director_step(director_step: Callable[..., Tensor]) -> None:
     print("Right. The director's actions are directions, and the perturbation is a part of their world.")
 
 
+@explained
 def check_added_change(added_change: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> None:
     """``added_change(obs, perturbed)`` is the largest change that an attack adds from step to step, ``[T - 1, N]``."""
     generator = np.random.default_rng(0)
@@ -219,6 +231,7 @@ def check_added_change(added_change: Callable[[np.ndarray, np.ndarray], np.ndarr
     print("Right. It is zero where the perturbation stays as it is, however large it is.")
 
 
+@explained
 def check_held_corner(held_corner: Callable[[float, int, np.random.Generator], Callable]) -> None:
     """``held_corner(epsilon, obs_dim, rng)`` is an attack for one episode: it maps obs ``[obs_dim]`` to perturbed."""
 

@@ -82,6 +82,12 @@ def test_exercises_are_numbered_and_each_is_followed_by_its_check(chapter):
     assert len(chapter.code("check")) == len(exercises), "a check without its exercise"
 
 
+def test_a_students_own_gradients_work_everywhere(chapter):
+    code = "\n".join(cell.source for cell in chapter.cells if cell.cell_type == "code")
+    switch = re.compile(r"set_grad_enabled\(|^torch\.(autograd\.)?(inference_mode|no_grad)\b.*__enter__", re.M)
+    assert not switch.search(code), "switch gradients off in a `with torch.no_grad():`, or for one function"
+
+
 def test_exercises_are_announced_by_a_heading(chapter):
     prose = "\n".join(chapter.prose)
     for cell in chapter.code("exercise"):

@@ -48,7 +48,8 @@ def test_student_notebook_runs_to_its_end_and_every_check_fails(name, tmp_path):
             todo = title(cell.source)
         errors = [output for output in cell.get("outputs", []) if output.output_type == "error"]
         if tagged(cell, "check"):
-            assert [(error.ename, error.evalue) for error in errors] == [("NotImplementedError", todo)]
+            assert [(error.ename, error.evalue.split(". Replace")[0]) for error in errors] == [("NotWritten", todo)]
+            assert errors[0].traceback[0] == "Not written yet." and len(errors[0].traceback) <= 5, "one message"
         else:
             assert errors == []
 

@@ -52,6 +52,11 @@ def test_other_ways_to_say_the_same_pass():
         (lambda det, o, x, s: -((det(x) - x) / s).amax(-1), "abs"),
         (lambda *given: hidden(*given).sum(), "each has its own"),
         (lambda *given: hidden(*given).detach(), "no gradient"),
+        (lambda det, o, x, s: hidden(lambda seen: det(seen).detach(), o, x, s), "is detached"),
+        (lambda det, o, x, s: -((x.detach() - det(x)) / s).abs().amax(-1), "perturbed itself is detached"),
+        (lambda det, o, x, s: -((x - det(x)) / s).norm(dim=-1), "l2 norm"),
+        (lambda det, o, x, s: -((x - det(x)) / s).square().amax(-1), "squares"),
+        (lambda det, o, x, s: (-((x - det(x)) / s).abs()).min(-1), "values and indices"),
     ],
 )
 def test_a_wrong_l_det_is_explained(mistake, says):

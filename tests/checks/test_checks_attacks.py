@@ -46,8 +46,10 @@ class TestOpposite:
             (lambda m, s, std: ((s - m) / std).norm(dim=-1), "square root of l_op"),
             (lambda m, s, std: ((s - m) / std).square().mean(-1), "do not average"),
             (lambda m, s, std: ((s - m) / std).square().sum(), "one number for both"),
+            (lambda m, s, std: -((s - m) / std).square().sum(-1), "sign is turned"),
+            (lambda m, s, std: ((s - m) / std).sum(-1).square(), "Square before you sum"),
         ],
-        ids=["times Sigma", "std for variance", "no Sigma", "root", "mean", "sum over the batch"],
+        ids=["times Sigma", "std for variance", "no Sigma", "root", "mean", "sum over the batch", "sign", "late"],
     )
     def test_a_mistake_is_explained(self, wrong, hint):
         with pytest.raises(AssertionError, match=hint):
@@ -79,9 +81,21 @@ class TestFgsm:
             (lambda k, o, d, e: o + (d + e * 2 * d @ k.T @ k).clamp(-e, e), "sign that counts"),
             (lambda k, o, d, e: (d + e * (d @ k.T @ k).sign()).clamp(-e, e), "centre of the ball"),
             (lambda k, o, d, e: o + (d + e * (o @ k.T @ k).sign()).clamp(-e, e), "how far the action moves"),
-            (lambda k, o, d, e: o + d, "without a step"),
+            (lambda k, o, d, e: o + d, "gradient taken at obs itself"),
+            (lambda k, o, d, e: o + e * (d @ k.T @ k).sign(), "missing its start"),
+            (lambda k, o, d, e: o + (d + e * (d @ k @ k.T).sign()).clamp(-e, e), "The shapes do not fit"),
         ],
-        ids=["unprojected", "from the centre", "descent", "no sign", "clipped around 0", "action itself", "start only"],
+        ids=[
+            "unprojected",
+            "from the centre",
+            "descent",
+            "no sign",
+            "clipped around 0",
+            "action itself",
+            "start only",
+            "no start",
+            "shapes",
+        ],
     )
     def test_a_mistake_is_explained(self, wrong, hint):
         with pytest.raises(AssertionError, match=hint):
@@ -100,9 +114,10 @@ class TestVulnerable:
             (lambda policy, q, o, c: q(o, torch.zeros(len(o), 1)) < c, "the action must be the policy's"),
             (lambda policy, q, o, c: q(o, o) < c, "give it the policy's action"),
             (lambda policy, q, o, c: (q(o, policy(o)).mean() < c).expand(len(o)), "do not average"),
+            (lambda policy, q, o, c: q(o, policy(o)) < q(o, policy(o)).quantile(c), "a share between 0 and 1"),
             (lambda policy, q, o, c: (q(o, policy(o)) < c).float(), "True or False"),
         ],
-        ids=["above", "at the threshold", "no action", "obs for action", "averaged", "numbers"],
+        ids=["above", "at the threshold", "no action", "obs for action", "averaged", "quantile", "numbers"],
     )
     def test_a_mistake_is_explained(self, wrong, hint):
         with pytest.raises(AssertionError, match=hint):

@@ -34,6 +34,11 @@ def test_the_solutions_pass(capsys):
     assert capsys.readouterr().out.count("Right") == 4
 
 
+@pytest.mark.parametrize("give", [list, lambda pair: [part.numpy() for part in pair], torch.stack])
+def test_augment_may_give_a_list_arrays_or_one_tensor(give):
+    checks.check_augment(lambda obs, attack: give(augment(obs, attack)))
+
+
 def _only_the_last(obs, attack):
     inputs = obs.clone()
     inputs[:, -1] = attack(obs[:, -1])
@@ -63,28 +68,33 @@ def _replaced_in_place(obs, denoised, alarm):
         (checks.check_augment, lambda obs, attack: augment(obs, attack)[::-1], "are swapped"),
         (checks.check_augment, lambda obs, attack: (augment(obs, attack)[0],) * 2, "targets are attacked too"),
         (checks.check_augment, lambda obs, attack: (obs, obs), "never called"),
-        (checks.check_augment, lambda obs, attack: augment(obs, attack)[0], "two tensors"),
+        (checks.check_augment, lambda obs, attack: augment(obs, attack)[0], "two things"),
         (checks.check_augment, _only_the_last, "not attacked"),
-        (checks.check_augment, _in_place, "obs itself was changed"),
+        (checks.check_augment, _in_place, "its argument obs"),
+        (checks.check_augment, lambda obs, attack: attack(obs.numpy().reshape(-1, 2)), "has no attribute|Two kinds"),
         (checks.check_augment, _shuffled, "order has changed"),
         (checks.check_denoiser_loss, lambda m, t, p, n, b: denoiser_loss(m, p, t, n, b), "swap them"),
         (checks.check_denoiser_loss, lambda m, t, p, n, b: denoiser_loss(m, p, p, n, b), "not a denoiser"),
-        (checks.check_denoiser_loss, lambda m, t, p, n, b: denoiser_loss(m, t, t, n, b), "that is a detector$"),
+        (checks.check_denoiser_loss, lambda m, t, p, n, b: denoiser_loss(m, t, t, n, b), "that is a detector.$"),
         (checks.check_denoiser_loss, lambda m, t, p, n, b: denoiser_loss(m, t, p, n, -b), "subtracted"),
         (checks.check_denoiser_loss, lambda m, t, p, n, b: denoiser_loss(m, t, p, n, 1), "beta is missing"),
         (checks.check_denoiser_loss, lambda m, t, p, n, b: denoiser_loss(m, t, p, n, 0), "KL is missing"),
         (checks.check_denoiser_loss, lambda m, t, p, n, b: denoiser_loss(m, t, p, 2 * n, b), "should be"),
+        (checks.check_denoiser_loss, lambda m, t, p, n, b: denoiser_loss(m, t, p, None, b), "noise is not used"),
+        (checks.check_denoiser_loss, lambda m, t, p, n, b: -denoiser_loss(m, t, p, n, b), "change the sign"),
+        (checks.check_denoiser_loss, lambda m, t, p, n, b: b * denoiser_loss(m, t, p, n, 1), "not the error"),
+        (checks.check_denoiser_loss, lambda m, t, p, n, b: 12 * denoiser_loss(m, t, p, n, b), "that is the sum"),
         (checks.check_denoiser_loss, lambda m, t, p, n, b: denoiser_loss(m, t, p, n, b).expand(2), "one number"),
         (checks.check_replace_on_alarm, lambda obs, den, alarm: torch.where(alarm, den, obs), "DIMENSION"),
         (checks.check_replace_on_alarm, lambda obs, den, alarm: replace_on_alarm(den, obs, alarm), "wrong way round"),
         (checks.check_replace_on_alarm, lambda obs, den, alarm: den, "bit for bit"),
-        (checks.check_replace_on_alarm, lambda obs, den, alarm: den[alarm], "one observation an episode"),
-        (checks.check_replace_on_alarm, _replaced_in_place, "obs itself was changed"),
+        (checks.check_replace_on_alarm, lambda obs, den, alarm: den[alarm], "shape"),
+        (checks.check_replace_on_alarm, _replaced_in_place, "its argument obs"),
         (checks.check_mae_attacked, lambda d, o, a, m: mae(d, o, a, a), "after an episode's end"),
         (checks.check_mae_attacked, lambda d, o, a, m: mae(d, o, m, m), "not attacked are counted"),
-        (checks.check_mae_attacked, lambda d, o, a, m: np.abs(d - o).mean(), "all steps"),
+        (checks.check_mae_attacked, lambda d, o, a, m: np.abs(d - o).mean(), "All steps"),
         (checks.check_mae_attacked, lambda d, o, a, m: (d - o)[a & m].mean(), "cancel"),
-        (checks.check_mae_attacked, lambda d, o, a, m: ((d - o) ** 2)[a & m].mean(), "should be"),
+        (checks.check_mae_attacked, lambda d, o, a, m: ((d - o) ** 2)[a & m].mean(), "SQUARED"),
         (checks.check_mae_attacked, lambda d, o, a, m: np.abs(d - o)[a & m], "one number"),
         (checks.check_mae_attacked, lambda d, o, a, m: (np.abs(d - o) * (a & m)[..., None]).mean(), "divided"),
     ],

@@ -32,6 +32,11 @@ def test_the_solutions_pass(capsys):
     assert capsys.readouterr().out.count("Right") == 4
 
 
+@pytest.mark.parametrize("give", [list, np.array, torch.tensor])
+def test_scores_may_be_a_list_or_an_array(give):
+    checks.check_scores(lambda attacked, alarm: give([float(number) for number in scores(attacked, alarm)]))
+
+
 def _with_recall_for_f1(attacked, alarm):
     accuracy, _, misses = scores(attacked, alarm)
     return accuracy, 1 - misses, misses
@@ -61,21 +66,34 @@ def _by_columns(attacked, alarm):
         (checks.check_sample_latent, lambda m, v, e: (0.5 * v).exp() * e, "is the mean"),
         (checks.check_sample_latent, lambda m, v, e: torch.normal(m, (0.5 * v).exp()), "is the mean"),
         (checks.check_sample_latent, lambda m, v, e: m.detach() + (0.5 * v).exp() * e, "gradient"),
-        (checks.check_kl, lambda m, v, p: 2 * kl(m, v, p), "is 8"),
-        (checks.check_kl, lambda m, v, p: kl(m, v, torch.zeros_like(p)), "from itself is 0"),
-        (checks.check_kl, lambda m, v, p: kl(m, v, m), "is 8"),
-        (checks.check_kl, lambda m, v, p: kl(m, 2 * v, p), "sigma.2 = 4"),
+        (checks.check_sample_latent, lambda m, v, e: m + (0.5 * v).exp().detach() * e, "does not reach log_variance"),
+        (checks.check_sample_latent, lambda m, v, e: m + (0.5 * v.detach()).exp() * e, "does not reach log_variance"),
+        (checks.check_sample_latent, lambda m, v, e: (m + (0.5 * v).exp() * e).detach(), "no gradient"),
+        (checks.check_sample_latent, lambda m, v, e: m + v.exp() / 2 * e, "not after"),
+        (checks.check_sample_latent, lambda m, v, e: m.numpy(), "stay with torch"),
+        (checks.check_kl, lambda m, v, p: kl(m, v / 2, p), "do not halve"),
+        (checks.check_kl, lambda m, v, p: -kl(m, v, p), "never negative"),
+        (checks.check_kl, lambda m, v, p: kl(m, v, p) - (m - p).square().sum(-1), "must GROW"),
+        (checks.check_kl, lambda m, v, p: kl(m, v, p) + 2, "1 is missing"),
+        (checks.check_kl, lambda m, v, p: (((m - p) ** 2 + 1) / v.exp() - 1 + v).sum(-1) / 2, "other direction"),
+        (checks.check_kl, lambda m, v, p: 2 * kl(m, v, p), "1/2 is missing"),
+        (checks.check_kl, lambda m, v, p: kl(m, v, torch.zeros_like(p)), "prior_mean is not used"),
+        (checks.check_kl, lambda m, v, p: kl(m, v, m), "from prior_mean is missing"),
+        (checks.check_kl, lambda m, v, p: kl(m, 2 * v, p), "double it"),
         (checks.check_kl, lambda m, v, p: kl(m, v, p).mean(), "5 numbers"),
-        (checks.check_kl, lambda m, v, p: kl(m, v, p) / 4, "is 8"),
+        (checks.check_kl, lambda m, v, p: kl(m, v, p) / 4, "that is their mean"),
         (checks.check_calibrate, lambda s, r: np.quantile(s, r), "quantile at 1 - rate"),
         (checks.check_calibrate, lambda s, r: s.max(), "largest"),
         (checks.check_calibrate, lambda s, r: s.mean() + 2.33 * s.std(), "without assuming"),
+        (checks.check_calibrate, lambda s, r: np.percentile(s, 1 - r), "per cent"),
+        (checks.check_calibrate, lambda s, r: np.quantile(s, 1 - r / 2), "either side"),
+        (checks.check_calibrate, lambda s, r: s.mean(), "exceed the threshold, and 1% should"),
         (checks.check_calibrate, lambda s, r: np.quantile(s, [1 - r]), "one number"),
         (checks.check_scores, _with_recall_for_f1, "recall"),
         (checks.check_scores, _with_misses_of_all_steps, "only the 4 attacked"),
         (checks.check_scores, _with_false_positives, "POSITIVE"),
         (checks.check_scores, _by_columns, "all entries"),
-        (checks.check_scores, lambda attacked, alarm: 0.7, "three numbers"),
+        (checks.check_scores, lambda attacked, alarm: 0.7, "three things"),
     ],
 )
 def test_a_mistake_is_explained(check, mistake, says):

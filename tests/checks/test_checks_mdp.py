@@ -48,7 +48,7 @@ class TestReturnsToGo:
                 reward[t] += gamma * reward[t + 1]
             return reward
 
-        with pytest.raises(AssertionError, match="changes the rewards"):
+        with pytest.raises(AssertionError, match="changes its argument reward"):
             mdp.check_returns_to_go(wrong)
 
 
@@ -76,6 +76,21 @@ class TestReturnsAndLengths:
     def test_a_wrong_mask_is_explained(self, mask, hint):
         with pytest.raises(AssertionError, match=hint):
             mdp.check_returns_and_lengths(lambda r, t: ((r * mask(t)).sum(0), mask(t).sum(0)))
+
+    @pytest.mark.parametrize("first", [0, 1])
+    def test_argmax_of_a_column_that_is_never_true_is_explained(self, first):
+        def right(reward, terminated):
+            return [3, 100, 100], terminated.argmax(0) + first
+
+        with pytest.raises(AssertionError, match="argmax is"):
+            mdp.check_returns_and_lengths(right)
+
+        def wrong(reward, terminated):
+            lengths = terminated.argmax(0) + 1
+            return [column[:n].sum() for column, n in zip(reward.T, lengths, strict=True)], lengths
+
+        with pytest.raises(AssertionError, match="returns .*argmax is 0"):
+            mdp.check_returns_and_lengths(wrong)
 
     def test_wrong_lengths_are_explained(self):
         def wrong(reward, terminated):
@@ -160,6 +175,34 @@ class TestInterval:
             return tuple(np.quantile(means, [0.05, 0.95]))
 
         with pytest.raises(AssertionError, match="2.5 %"):
+            mdp.check_interval(wrong)
+
+    @pytest.mark.parametrize("give", [list, np.array])
+    def test_a_list_or_an_array_passes(self, give):
+        mdp.check_interval(lambda *arguments: give(self.right(*arguments)))
+
+    def test_the_normal_formula_is_explained(self):
+        def wrong(values, rng, resamples):
+            half = 1.96 * values.std() / np.sqrt(len(values))
+            return values.mean() - half, values.mean() + half
+
+        with pytest.raises(AssertionError, match="assume a Gaussian"):
+            mdp.check_interval(wrong)
+
+    def test_standard_deviations_of_the_resamples_are_explained(self):
+        def wrong(values, rng, resamples):
+            half = 1.96 * values[rng.integers(len(values), size=(resamples, len(values)))].mean(1).std()
+            return values.mean() - half, values.mean() + half
+
+        with pytest.raises(AssertionError, match="1.96 standard deviations"):
+            mdp.check_interval(wrong)
+
+    def test_the_basic_interval_is_explained(self):
+        def wrong(values, rng, resamples):
+            low, high = self.right(values, rng, resamples)
+            return 2 * values.mean() - high, 2 * values.mean() - low
+
+        with pytest.raises(AssertionError, match="2 mean - quantile"):
             mdp.check_interval(wrong)
 
     def test_random_numbers_from_elsewhere_are_explained(self):

@@ -108,6 +108,15 @@ def test_a_loss_without_a_gradient_is_explained(mistake, says):
         checks.check_training_loss(mistake)
 
 
+def columns(a, b):
+    return zip(a.T[..., None], b.T[..., None], strict=True)
+
+
+def correlation(a, b):
+    a, b = a.flatten(), b.flatten()
+    return torch.nn.functional.cosine_similarity(a - a.mean(), b - b.mean(), dim=0)
+
+
 @pytest.mark.parametrize(
     ("mistake", "says"),
     [
@@ -119,6 +128,10 @@ def test_a_loss_without_a_gradient_is_explained(mistake, says):
         (lambda a, d: 1 - (d - a).square().mean(0).sum() / a.var(0).sum(), "n - 1"),
         (lambda a, d: 1 - (d - a).abs().sum() / (a - a.mean(0)).abs().sum(), "Square"),
         (lambda a, d: survives(a, d).clamp_min(0), "do not clip"),
+        (lambda a, d: correlation(a, d) ** 2, "squared correlation"),
+        (lambda a, d: correlation(a, d), "the correlation of the actions"),
+        (lambda a, d: torch.stack([correlation(*p) ** 2 for p in columns(a, d)]).mean(), "mean of the"),
+        (lambda a, d: torch.stack([survives(*p) for p in columns(a, d)]).mean(), "own shares"),
     ],
 )
 def test_a_wrong_share_is_explained(mistake, says):

@@ -52,8 +52,8 @@ def _ends(ratios, tail=0.025):
     ("mistake", "says"),
     [
         (lambda d, c, i: None, "gives None"),
-        (lambda d, c, i: kept_share(d, c, i)[0], "shape"),
-        (lambda d, c, i: (kept_share(d, c, i)[0], np.array(kept_share(d, c, i)[1:])), "three numbers"),
+        (lambda d, c, i: kept_share(d, c, i)[0], "three things"),
+        (lambda d, c, i: (kept_share(d, c, i)[0], np.array(kept_share(d, c, i)[1:])), "three things"),
         (lambda d, c, i: ((d / c).mean(), *_ends((d / c)[i].mean(1))), "ratio of the two means"),
         (lambda d, c, i: (d.mean() / c.mean(), *_ends((d / c)[i].mean(1))), "two resampled means"),
         (lambda d, c, i: (d.mean() / c.mean(), *_ends(d[i].mean(1) / c.mean())), "drawn episodes of clean"),
@@ -62,6 +62,9 @@ def _ends(ratios, tail=0.025):
         (lambda d, c, i: ((d[i].mean(1) / c[i].mean(1)).mean(), *kept_share(d, c, i)[1:]), "mean of the resamples"),
         (lambda d, c, i: (d.mean() / c.mean(), *_ends(d[i].mean(0) / c[i].mean(0))), "last axis"),
         (lambda d, c, i: (d.mean() / c.mean(), *_ends(d[i].mean(1) / c[i[::-1]].mean(1))), "it should be"),
+        (lambda d, c, i: (d.mean() / c.mean(), *(_ends(d[i].mean(1)) / _ends(c[i].mean(1)))), "resampled by itself"),
+        (lambda d, c, i: (d.mean() / c.mean(), *(_ends(d[i].mean(1)) / _ends(c[i].mean(1))[::-1])), "the worst"),
+        (lambda d, c, i: (d.mean() / c.mean(), *_ends(d[i].mean(1) / c[np.roll(i, 1, 0)].mean(1))), "in pairs"),
     ],
 )
 def test_a_wrong_share_is_explained(mistake, says):
@@ -76,6 +79,10 @@ def test_a_wrong_share_is_explained(mistake, says):
         (lambda chosen, shown: chosen.mean(1).min(), "reported on the episodes that it was chosen on"),
         (lambda chosen, shown: shown.min(0).mean(), "every episode"),
         (lambda chosen, shown: shown[chosen.min(1).argmin()].mean(), "its worst episode"),
+        (lambda chosen, shown: shown[np.median(chosen, 1).argmin()].mean(), "chosen by its median"),
+        (lambda chosen, shown: np.median(shown[chosen.mean(1).argmin()]), "report its mean"),
+        (lambda chosen, shown: np.median(shown, 1)[np.median(chosen, 1).argmin()], "twice"),
+        (lambda chosen, shown: shown[chosen.mean(1).argmin()].min(), "worst episode of the right"),
         (lambda chosen, shown: shown[chosen.mean(1).argmax()].mean(), "leaves the most"),
         (lambda chosen, shown: shown.mean(), "all attacks"),
         (lambda chosen, shown: chosen.mean(1).argmin(), "which attack is the worst"),
@@ -153,7 +160,7 @@ def _others_wrong(policy, obs, denoised):
     ("mistake", "says"),
     [
         (_accumulated, "fresh copy"),
-        (_in_place, "itself was changed"),
+        (_in_place, "its argument obs"),
         (_others_wrong, "the other way round"),
         (lambda policy, obs, denoised: (denoised - obs).abs().mean(0), "ACTION"),
         (lambda policy, obs, denoised: policy(obs[:, 0]), "whole observations"),
