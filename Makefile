@@ -6,6 +6,8 @@ PORT ?= 8000
 SCALE ?= tiny
 JOBS ?= 2
 FILMS ?= true
+GRADES ?= runs/grades
+LIMIT ?= 60
 
 ifeq ($(OS),Windows_NT)
 BIN := .venv/Scripts
@@ -24,7 +26,7 @@ PLAYGROUND := $(wildcard book/playground/*.json book/playground/src/*.js)
 FAST := core victims simulation defense attacks training store theory results checks test_rooms.py test_bad_inputs.py
 
 .DEFAULT_GOAL := help
-.PHONY: help book test test-fast notebooks lab data durations bench lint lock clean
+.PHONY: help book test test-fast notebooks grade lab data durations bench lint lock clean
 
 # Here, and not in the recipe of data: what cannot be made is refused before the environment is made for it.
 ifneq ($(filter data,$(MAKECMDGOALS)),)
@@ -51,6 +53,9 @@ test-fast: .venv/stamp ## Run the quick tests of the library: no book, no browse
 
 notebooks: .venv/stamp ## Write notebooks/ from book/chapters/
 	$(PY) book/tools/student.py notebooks
+
+grade: .venv/stamp ## Check what students handed in (SUBMISSIONS=FOLDER with a folder of notebooks for each; GRADES=runs/grades; LIMIT=60 seconds)
+	$(PY) book/tools/grade.py "$(SUBMISSIONS)" "$(GRADES)" --limit $(LIMIT)
 
 # It serves the whole repository: notebooks link to films and pages beside them. LAB takes more options of JupyterLab.
 lab: .venv/stamp ## Open the notebooks in JupyterLab

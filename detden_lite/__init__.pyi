@@ -105,7 +105,10 @@ from detden_lite.recipe.defend import defend as defend
 from detden_lite.recipe.defense_stages import FALSE_ALARMS as FALSE_ALARMS
 from detden_lite.recipe.episode_seeds import seeds as seeds
 from detden_lite.recipe.evaluation import run_cell as run_cell
+from detden_lite.recipe.judge import Judgement as Judgement
+from detden_lite.recipe.judge import judge as judge
 from detden_lite.recipe.linear_search import LinearMaps as LinearMaps
+from detden_lite.recipe.linear_search import LinearRecipe as LinearRecipe
 from detden_lite.recipe.linear_search import elite_weights as elite_weights
 from detden_lite.recipe.run import Run as Run
 from detden_lite.recipe.scales import DefenseScale as DefenseScale

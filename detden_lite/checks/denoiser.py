@@ -16,10 +16,8 @@ def check_augment(augment: Callable[[Tensor, Callable[[Tensor], Tensor]], tuple[
     """``augment(obs, attack)`` gives the denoiser's (input, target); obs is ``[episodes, steps, obs_dim]``."""
     obs = torch.randn(3, 5, 2, generator=torch.Generator().manual_seed(0))
     given = obs.clone()
-    shapes = []
 
     def attack(rows: Tensor) -> Tensor:
-        shapes.append(list(rows.shape))
         assert rows.ndim == 2, f"an attack takes rows [N, obs_dim]; yours was given the shape {list(rows.shape)}"
         assert rows.shape[1] == 2, f"obs_dim is 2 here, but the attack was given rows of {rows.shape[1]} numbers"
         return rows + 0.1 * torch.stack([rows[:, 1], -rows[:, 0]], 1).sign()
@@ -27,7 +25,6 @@ def check_augment(augment: Callable[[Tensor, Callable[[Tensor], Tensor]], tuple[
     call = "augment(obs, attack)"
     pair = (torch.as_tensor(part) for part in parts(call, augment(given, attack), "inputs", "targets"))
     inputs, targets = (part.to(obs.dtype) for part in pair)
-    assert shapes, "the attack was never called"
     for name, tensor in (("inputs", inputs), ("targets", targets)):
         assert tensor.shape == obs.shape, (
             f"{name} should have the trajectories' shape {list(obs.shape)}; yours has {list(tensor.shape)}"
@@ -39,6 +36,9 @@ def check_augment(augment: Callable[[Tensor, Callable[[Tensor], Tensor]], tuple[
     assert not torch.allclose(targets, expected), "the targets are attacked too: they must be the true observations"
     assert torch.equal(targets, obs), "the targets should be the clean observations, as they are"
     touched = (inputs != obs).any(-1)
+    assert touched.any(), (
+        "the inputs are the true observations: the attack is never called, or what it gives is not used"
+    )
     assert touched.all(), (
         f"{int((~touched).sum())} of {touched.numel()} observations are not attacked; D_adv attacks every one"
     )

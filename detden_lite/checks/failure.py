@@ -147,7 +147,7 @@ def _raised_by_a_check(error: BaseException) -> bool:
 
 def _explain(error: Exception, function: Callable, name: str, arguments: Sequence[object]) -> str:
     place = ""
-    code = getattr(function, "__code__", None)
+    code = getattr(inspect.unwrap(function), "__code__", None)
     for frame, number in traceback.walk_tb(error.__traceback__):
         if code and frame.f_code.co_filename == code.co_filename:
             line = linecache.getline(code.co_filename, number).strip()

@@ -60,8 +60,7 @@ class Defended:
         self.reset()
 
     def __repr__(self) -> str:
-        algorithm = "TD3" if self.victim.action_std is None else "PPO"
-        return f"Defended({self.task.env_id}, {algorithm}, {self._defense!r})"
+        return f"Defended({self.task.env_id}, {self.victim!r}, {self._defense!r})"
 
     def __getstate__(self) -> dict[str, object]:
         return self.__dict__ | dict(_turn=[None])  # no thread is inside the copy, even if one is inside the original

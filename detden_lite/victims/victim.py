@@ -35,6 +35,8 @@ class Victim(nn.Module):
         >>> obs = torch.zeros(2, 11)
         >>> victim(obs).shape, victim.q(obs, victim(obs)).shape
         (torch.Size([2, 3]), torch.Size([2]))
+        >>> victim
+        Victim(deterministic policy of layers [11, 64, 3], 2 critics)
     """
 
     obs_mean: Tensor
@@ -64,6 +66,11 @@ class Victim(nn.Module):
         self.register_buffer("action_high", torch.ones(action_dim))
         self.register_buffer("action_std", torch.ones(action_dim) if gaussian else None)
         self.requires_grad_(False).eval()
+
+    def __repr__(self) -> str:
+        kind = "deterministic" if self.action_std is None else "Gaussian"
+        critic = f"{len(self.critics)} critics" if len(self.critics) else "no critic"
+        return f"Victim({kind} policy of layers {self.config['actor']}, {critic})"
 
     @property
     def obs_dim(self) -> int:

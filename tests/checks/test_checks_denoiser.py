@@ -67,7 +67,7 @@ def _replaced_in_place(obs, denoised, alarm):
         (checks.check_augment, lambda obs, attack: (attack(obs), obs), "takes rows"),
         (checks.check_augment, lambda obs, attack: augment(obs, attack)[::-1], "are swapped"),
         (checks.check_augment, lambda obs, attack: (augment(obs, attack)[0],) * 2, "targets are attacked too"),
-        (checks.check_augment, lambda obs, attack: (obs, obs), "never called"),
+        (checks.check_augment, lambda obs, attack: (obs, obs), "is never called"),
         (checks.check_augment, lambda obs, attack: augment(obs, attack)[0], "two things"),
         (checks.check_augment, _only_the_last, "not attacked"),
         (checks.check_augment, _in_place, "its argument obs"),

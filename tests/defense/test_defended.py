@@ -203,7 +203,8 @@ def test_a_copy_made_during_a_prediction_can_predict():
     assert made[0].predict(OBS[1])[0].shape == (5, 1)
 
 
-@pytest.mark.parametrize(("gaussian", "algorithm"), [(False, "TD3"), (True, "PPO")])
-def test_its_text_names_task_algorithm_and_defence(gaussian, algorithm):
-    text = repr(make_defended(make_victim(TASK, gaussian=gaussian)))
-    assert text == f"Defended(InvertedPendulum-v5, {algorithm}, DetectAndDenoise(Detector > 1.5, Denoiser))"
+@pytest.mark.parametrize(("gaussian", "kind", "critics"), [(False, "deterministic", 2), (True, "Gaussian", "no")])
+def test_its_text_names_task_policy_and_defence(gaussian, kind, critics):
+    text, what = repr(make_defended(make_victim(TASK, gaussian=gaussian))), f"{critics} critic{'s' * (not gaussian)}"
+    victim = f"Victim({kind} policy of layers [4, 16, 1], {what})"
+    assert text == f"Defended(InvertedPendulum-v5, {victim}, DetectAndDenoise(Detector > 1.5, Denoiser))"
