@@ -44,7 +44,7 @@ ifneq ($(SERVE),0)
 endif
 
 test test-fast: export OMP_NUM_THREADS := 1
-test: _build/html.stamp ## Run the tests: the library, the notebooks, the built book in a browser
+test: _build/html.stamp _build/axe/axe.min.js ## Run the tests: the library, the notebooks, the built book in a browser
 	$(PY) book/tools/student.py --solved runs/solved
 	$(PY) -m pytest tests runs/solved --nbmake --nbmake-timeout=300 -n $(JOBS)
 
@@ -98,7 +98,7 @@ clean: ## Remove everything that was made, .venv included
 _build/cache.stamp: .venv/stamp $(LIBRARY) $(DATA)
 	$(PY) -c "import pathlib, shutil; shutil.rmtree('_build/new/_build/.jupyter_cache', ignore_errors=True); pathlib.Path('_build').mkdir(exist_ok=True); open('$@', 'w')"
 
-_build/vendor/widgets/embed.js: .venv/stamp book/tools/widget_player.py
+_build/vendor/widgets/embed.js _build/axe/axe.min.js: .venv/stamp book/tools/widget_player.py
 	$(PY) book/tools/widget_player.py $@
 
 _build/vendor/playground/playground.js: .venv/stamp book/tools/build_playground.py $(PLAYGROUND) $(DATA)

@@ -40,7 +40,7 @@ def stub(source: str) -> str:
 
 
 class ShowStubFoldSolution(SphinxPostTransform):
-    """A cell tagged ``exercise`` shows its stub, and its code folded under "Show the solution"."""
+    """A cell tagged ``exercise`` shows its stub, and its code folded under "Solution of 2.1"."""
 
     default_priority = 198  # just before myst-nb folds what has a hide_mode
     formats = ("html",)
@@ -55,7 +55,8 @@ class ShowStubFoldSolution(SphinxPostTransform):
                 box = nodes.container("", shown, classes=["cell", "cell_input", "exercise-stub"])
                 cell.parent.insert(cell.parent.index(cell), box)
                 cell["hide_mode"] = "input"
-                cell["prompt_show"], cell["prompt_hide"] = "Show the solution", "Hide the solution"
+                number = title(code.astext()).split(":")[0].removeprefix("Exercise ")
+                cell["prompt_show"] = cell["prompt_hide"] = f"Solution of {number}"
 
 
 def setup(app: Sphinx) -> dict:

@@ -13,8 +13,9 @@ import jupytext
 import nbformat
 import yaml
 from exercises import stub
-from nbformat.v4 import new_markdown_cell
+from nbformat.v4 import new_code_cell, new_markdown_cell
 from plain_markdown import Labels, caption, collect, plain, read_citations
+from project import PYPROJECT, install, source
 
 BOOK = Path(__file__).resolve().parents[1]
 _HOW_TO = (
@@ -73,6 +74,8 @@ def _collect_labels(name: str, notebook: nbformat.NotebookNode, labels: Labels) 
 
 def _convert(name: str, notebook: nbformat.NotebookNode, labels: Labels, solved: bool) -> None:
     cells = [new_markdown_cell(_HOW_TO)]
+    if first := install(source(PYPROJECT.read_text("utf-8"))):
+        cells.append(new_code_cell(first))
     for cell in notebook.cells:
         cells.append(cell)
         if cell.cell_type == "markdown":

@@ -21,7 +21,9 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> HTML:
 
     def line(cells: Sequence[object], tag: str) -> str:
         shown = (cell if isinstance(cell, str) else whole(cell) for cell in cells)
-        return "<tr>" + "".join(f"<{tag}>{cell}</{tag}>" for cell in shown) + "</tr>"
+        # A head without a text would be announced as one.
+        tagged = ((tag if cell else "td", cell) for cell in shown)
+        return "<tr>" + "".join(f"<{kind}>{cell}</{kind}>" for kind, cell in tagged) + "</tr>"
 
     body = "".join(line(row, "td") for row in rows)
     # The class tells themes that the output needs no light background on a dark page.

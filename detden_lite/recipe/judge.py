@@ -96,6 +96,7 @@ class Judgement:
         axes.set(yticks=range(len(self.rows)), yticklabels=[row.title for row in self.rows], xlabel="return")
         axes.set_ylim(len(self.rows) - 0.5, -0.5)
         axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
+        axes.grid(axis="y", visible=False)
         axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False)
         return figure
 
@@ -170,6 +171,7 @@ def _search(defended: Defended, ball: Budget, recipe: LinearRecipe, folder: Path
 
     about = dict(epsilon=ball.epsilon, norm=str(ball.norm))
     paths = linear_search.search(recipe, task, 0, folder, clean.obs[clean.mask], measure, about)
-    means = [Victim.from_state(recipe.config(task), load_file(path)) for path in paths]
-    maps = torch.stack([torch.cat([mean.actor[0].weight, mean.actor[0].bias[:, None]], 1) for mean in means])
-    return means[int(left(LinearMaps(means[0], maps), seeds("selection", 8)).argmin())]
+    states = [load_file(path) for path in paths]
+    maps = [torch.cat([state["actor.0.weight"], state["actor.0.bias"][:, None]], 1) for state in states]
+    means = [Victim.from_state(recipe.config(task), state) for state in states]
+    return means[int(left(LinearMaps(means[0], torch.stack(maps)), seeds("selection", 8)).argmin())]

@@ -19,7 +19,7 @@ SOLVED = """\
     length = delta.norm(dim=-1, keepdim=True)
     return obs + delta * (epsilon / length.clamp_min(1e-12)).clamp(max=1)
 """
-OVERWRITES = f"""{PROJECT}    return perturbed
+FORGES = f"""{PROJECT}    return perturbed
 import detden_lite.checks.attacks as c, detden_lite.checks.compare as d, numpy, torch, answers, builtins
 c.check_project_l2 = d.compare = c.compare = answers.record = lambda *arguments, **named: print("Right.")
 check_project_l2 = print
@@ -43,20 +43,32 @@ for folder in (pathlib.Path(detden_lite.__file__).parent, pathlib.Path.cwd(), pa
     (folder / "written-by-a-student.txt").write_text("here I was")
 pathlib.Path(detden_lite.__file__).write_text("raise SystemExit")
 """
-HOSTILE = {
-    "overwrites": OVERWRITES,
-    "plants": PLANTS,
-    "exits": f"{PROJECT}    import sys; sys.exit(0)\n",
-    "kills": f"{PROJECT}    import os, signal; os.kill(os.getpid(), signal.SIGKILL)\n",
-    "leaves": f"{PROJECT}    import os; os._exit(0)\n",
-    "prints": f"{PROJECT}    print('Right. ' * 10**6)\n    return perturbed\n",
-    "hangs": f"{PROJECT}    while True:\n        print('x' * 1000)\n",
-    "<b>bold</b>": f"{PROJECT}    raise ValueError('<script>alert(1)</script>')\n",
-    "=1+1": f"{PROJECT}    return __import__('threading').Lock()\n",
-    "broken": f"{PROJECT}    return (\n",
-    "writes": WRITES,
+OPPOSITE, FGSM, VULNERABLE = (
+    f"# Exercise 2.{number}: as it was\ndef {name}(*arguments):\n"
+    for number, name in ((2, "opposite"), (3, "fgsm"), (4, "vulnerable"))
+)
+HOSTILE = {  # the cells that are not as in the solution, and what comes of all four
+    "forges": ({"2.1": FORGES}, ["wrong"]),
+    "plants": ({"2.1": PLANTS}, ["wrong"]),
+    "writes": ({"2.1": WRITES}, ["passed"]),
+    "breaks": (
+        {
+            "2.1": f"{PROJECT}    import sys; sys.exit(0)\n",
+            "2.2": f"{OPPOSITE}    import os, signal; os.kill(os.getpid(), signal.SIGKILL)\n",
+            "2.3": f"{FGSM}    while True:\n        print('Right. ' * 1000)\n",
+        },
+        ["wrong", "killed", "time limit", "passed"],
+    ),
+    "=1+1 <b>bold": (
+        {
+            "2.1": f"{PROJECT}    raise ValueError('<script>alert(1)</script>')\n",
+            "2.2": f"{OPPOSITE}    return (\n",
+            "2.3": f"{FGSM}    return __import__('threading').Lock()\n",
+            "2.4": f"{VULNERABLE}    import os; os._exit(0)\n",
+        },
+        ["wrong", "error", "wrong", "killed"],
+    ),
 }
-MARK = {"kills": "killed", "leaves": "killed", "hangs": "time limit", "broken": "error", "writes": "passed"}
 
 
 def hand_in(folder, name, cells, solved=False):
@@ -77,13 +89,13 @@ def graded(tmp_path_factory):
     hand_in(folder, "right", {}, solved=True)
     hand_in(folder, "stub", {})
     hand_in(folder, "wrong", {"2.1": f"{PROJECT}    return obs + (perturbed - obs).clamp(-epsilon, epsilon)"})
-    for name, source in HOSTILE.items():
-        hand_in(folder, name, {"2.1": source}, solved=True)
+    for name, (cells, _) in HOSTILE.items():
+        hand_in(folder, name, cells, solved=True)
     (folder / "unreadable").mkdir()
     (folder / "unreadable" / "02-attacks.ipynb").write_text('{"cells": 3}')
     before = {path: path.stat().st_mtime_ns for path in (ROOT / "detden_lite").rglob("*.py")}
     monkeypatch = pytest.MonkeyPatch()
-    monkeypatch.setattr(sys, "argv", ["grade", str(folder), str(folder / "grades"), "--limit", "8"])
+    monkeypatch.setattr(sys, "argv", ["grade", str(folder), str(folder / "grades"), "--limit", "20"])
     monkeypatch.setattr(grade, "make_notebooks", lambda: {"02-attacks.ipynb": STUDENTS["02-attacks.ipynb"]})
     grade.main()
     monkeypatch.undo()
@@ -109,17 +121,15 @@ def test_right_wrong_and_stub(graded):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", HOSTILE)
-def test_hostile_cells_do_not_pass_and_do_no_harm_to_the_other_exercises(graded, name):
-    row = graded[0][name]
-    assert row["2.1"] == MARK.get(name, "wrong")
-    if name not in ("overwrites", "plants", "writes"):  # these harm their own kernel, and their own grades
-        assert [row[number] for number in ("2.2", "2.3", "2.4")] == ["passed"] * 3
+def test_hostile_cells_do_not_pass_and_a_kernel_that_they_end_is_replaced(graded, name):
+    expected = HOSTILE[name][1]
+    assert [graded[0][name][number] for number in ("2.1", "2.2", "2.3", "2.4")][: len(expected)] == expected
 
 
 @pytest.mark.slow
 def test_the_tables_hold_no_code_of_students(graded):
     rows, page = graded
-    assert "<script>" not in page and "<b>bold" not in page and "=1+1" in rows
+    assert "<script>" not in page and "<b>bold" not in page and "=1+1 <b>bold" in rows
     assert "&lt;script&gt;alert(1)" in page
 
 
