@@ -26,7 +26,7 @@ PLAYGROUND := $(wildcard book/playground/*.json book/playground/src/*.js)
 FAST := core victims simulation defense attacks training store theory results checks test_rooms.py test_bad_inputs.py
 
 .DEFAULT_GOAL := help
-.PHONY: help book test test-fast notebooks grade lab data durations bench lint lock clean
+.PHONY: help book pdf test test-fast notebooks grade lab data durations bench lint lock clean
 
 # Here, and not in the recipe of data: what cannot be made is refused before the environment is made for it.
 ifneq ($(filter data,$(MAKECMDGOALS)),)
@@ -42,6 +42,11 @@ book: _build/html.stamp ## Build the book and serve it at localhost (SERVE=0: on
 ifneq ($(SERVE),0)
 	$(PY) book/tools/serve.py _build/html $(PORT)
 endif
+
+pdf: _build/book.pdf ## Print the whole book to _build/book.pdf, through a headless Chromium
+
+_build/book.pdf: _build/html.stamp book/tools/pdf.py
+	$(PY) book/tools/pdf.py _build/html $@
 
 test test-fast: export OMP_NUM_THREADS := 1
 test: _build/html.stamp _build/axe/axe.min.js ## Run the tests: the library, the notebooks, the built book in a browser

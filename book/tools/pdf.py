@@ -80,11 +80,9 @@ FIT = """() => {
       if (width > place + 1) element.style.zoom = now * Math.max(0.3, place / width * 0.99);
     }
   const paper = document.body.getBoundingClientRect().right;
-  return [...document.querySelectorAll("mjx-container, table, pre, img")].filter(element => {
-    const math = element.querySelector("mjx-math") ?? element;
-    return math.getBoundingClientRect().right > paper + 1 || element.scrollWidth > element.clientWidth + 1
-      && getComputedStyle(element).display !== "inline" && element.matches("mjx-container, table");
-  }).map(element => `${element.closest("article").id}: ${element.tagName} ${element.textContent.slice(0, 80)}`);
+  return [...document.querySelectorAll("mjx-math, table, pre, img")]
+    .filter(element => element.getBoundingClientRect().right > paper + 1)
+    .map(element => `${element.closest("article").id} ${element.tagName} ${element.textContent.slice(0, 80)}`);
 }"""
 
 
@@ -112,11 +110,10 @@ def gather(page: Page, address: str, names: list[str]) -> str:
     """All pages as one HTML page."""
     articles, styles, sheets = [], [], []
     for name in names:
-        page.goto(f"{address}/{name}")
+        page.goto(f"{address}/{name}")  # waits until everything is loaded
         page.evaluate("window.MathJax?.startup?.promise")
         for view in page.locator("script[type='application/vnd.jupyter.widget-view+json']").all():
             view.locator("xpath=preceding-sibling::*[contains(@class, 'widget-subarea')]/*").wait_for()
-        page.wait_for_load_state("networkidle")
         prefix = f"{name.removesuffix('.html').replace('/', '-')}--"
         sheets += page.eval_on_selector_all("link[rel=stylesheet]", "all => all.map(link => link.href)")
         article, found = page.evaluate(PREPARE, [prefix, "/"])
@@ -142,14 +139,13 @@ def print_book(folder: Path, target: Path, names: list[str] | None = None) -> No
         threading.Thread(target=server.serve_forever, daemon=True).start()
         browser = playwright.chromium.launch(executable_path=find_chromium())
         page = browser.new_page(viewport=dict(width=PAPER, height=1000), color_scheme="light")
-        page.set_default_timeout(300_000)
+        page.set_default_timeout(120_000)
         address = f"http://127.0.0.1:{server.server_port}"
         whole = gather(page, address, names)
         page.route(f"{address}/_whole.html", lambda route: route.fulfill(body=whole, content_type="text/html"))
         page.emulate_media(media="print", color_scheme="light")
         page.goto(f"{address}/_whole.html")
-        page.wait_for_load_state("networkidle")
-        page.evaluate("document.fonts.ready")
+        page.evaluate("document.fonts.ready.then(() => true)")
         if cut := page.evaluate(FIT):
             raise RuntimeError("these are cut off at the edge of the paper:\n" + "\n".join(cut))
         target.parent.mkdir(parents=True, exist_ok=True)

@@ -60,6 +60,14 @@ class Judgement:
     Args:
         about: the policy, the ball and the episodes, in a line.
         rows: one for each attack of ``SUITE``.
+
+    Example:
+        >>> from detden_lite import estimate
+        >>> row = JudgedRow("clean", estimate(torch.ones(3)), estimate(torch.ones(3)), alarms=0.05)
+        >>> print(Judgement("three episodes", (row,)))
+        three episodes
+                bare policy   defended   steps with an alarm
+        clean      1 [1, 1]   1 [1, 1]                  5.0%
     """
 
     about: str
