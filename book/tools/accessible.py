@@ -10,6 +10,7 @@ from sphinx.application import Sphinx
 from sphinx.transforms.post_transforms import SphinxPostTransform
 
 _EMPTY_HEAD = re.compile(r"<th\b[^>]*>\s*(?:<p>\s*</p>\s*)?</th>")
+_SIGNATURE = re.compile(r'<dl>\s*((?:<dd><em class="sig-param">.*?</em>,?</dd>\s*)+)</dl>')
 
 
 class NameFolds(SphinxPostTransform):
@@ -40,7 +41,14 @@ def repair(app: Sphinx, page: str, template: str, context: dict, doctree: nodes.
     body = context.get("body", "")
     body = body.replace('<summary aria-label="Toggle hidden content">', "<summary>")  # its text says more
     body = body.replace('role="doc-biblioentry"', 'role="listitem"')  # its parent is a list
+    body = _SIGNATURE.sub(_as_lines, body)
     context["body"] = _EMPTY_HEAD.sub("<td></td>", body)
+
+
+def _as_lines(found: re.Match[str]) -> str:
+    """The arguments of a long signature, which Sphinx writes as a list of definitions without their terms."""
+    lines = found[1].replace("<dd>", '<span class="sig-line">').replace("</dd>", "</span>")
+    return f'<span class="sig-lines">{lines}</span>'
 
 
 def setup(app: Sphinx) -> dict:

@@ -5,7 +5,6 @@ repository on GitHub, a button that opens the notebook in Colab.
 """
 
 import re
-import shutil
 import tomllib
 from pathlib import Path
 
@@ -57,7 +56,7 @@ def show_repository(app: Sphinx, config: Config) -> None:
 def add_buttons(app: Sphinx, page: str, template: str, context: dict, doctree: object) -> None:
     """The buttons of a chapter, in the theme's list."""
     notebook = f"{Path(page).name}.ipynb"
-    if not page.startswith("chapters/") or not (ROOT / "notebooks" / notebook).exists():
+    if not page.startswith("chapters/"):
         return
     context["header_buttons"] = context.get("header_buttons", [])
     texts = [(context["pathto"](f"notebooks/{notebook}", 1), "Download this chapter as a notebook", "download")]
@@ -71,8 +70,10 @@ def add_buttons(app: Sphinx, page: str, template: str, context: dict, doctree: o
 
 def put_notebooks(app: Sphinx, error: Exception | None) -> None:
     """Put the notebooks beside the pages."""
+    from student import write_notebooks  # which needs this module
+
     if not error and app.builder.format == "html":
-        shutil.copytree(ROOT / "notebooks", Path(app.outdir, "notebooks"), dirs_exist_ok=True)
+        write_notebooks(Path(app.outdir, "notebooks"))
 
 
 def setup(app: Sphinx) -> dict:
