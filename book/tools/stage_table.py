@@ -13,7 +13,7 @@ def lines() -> list[list[str]]:
             f"<code>{rule}</code>",
             f"<code>detden {stage.name}</code>",
             stage.text,
-            "all" if setting == "rows" else f"<code>{setting}</code>",
+            "all" if "online" in setting.split() else f"<code>{setting}</code>",
             stage.keeps,
         ]
         for stage in ordered

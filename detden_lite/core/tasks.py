@@ -3,6 +3,11 @@
 from dataclasses import dataclass
 
 ALGORITHMS = ("td3", "ppo")
+# Not the paper's: trained to be robust, in the attacker's ball or a normalised one, and their control.
+ONLINE = dict(
+    vanilla="PPO, control", sappo="SA-PPO", atla="ATLA-PPO", zsappo="SA-PPO, normalised ball",
+    zatla="ATLA-PPO, normalised ball",
+)  # fmt: skip
 SCALES = ("tiny", "lite", "paper")  # of a run of the recipe; ``detden_lite.recipe.scales`` has their sizes
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from detden_lite import __version__
 from detden_lite.core.files import ArtifactError
-from detden_lite.core.tasks import ALGORITHMS, SCALES, TASK_NAMES
+from detden_lite.core.tasks import ALGORITHMS, ONLINE, SCALES, TASK_NAMES
 from detden_lite.recipe.stage_list import GROUPS, STAGES, Option
 
 
@@ -25,7 +25,7 @@ def parser() -> argparse.ArgumentParser:
     victim, where = argparse.ArgumentParser(add_help=False), argparse.ArgumentParser(add_help=False)
     victim.add_argument("--task", choices=TASK_NAMES, default="hopper", help="default: %(default)s")
     victim.add_argument(
-        "--algo", choices=ALGORITHMS, default="td3", help="the victim's algorithm; default: %(default)s"
+        "--algo", choices=(*ALGORITHMS, *ONLINE), default="td3", help="the victim's algorithm; default: %(default)s"
     )
     where.add_argument(
         "--scale", choices=SCALES, default="tiny",

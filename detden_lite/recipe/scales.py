@@ -3,13 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from detden_lite.core.tasks import ALGORITHMS, SCALES, Task
+from detden_lite.core.tasks import ALGORITHMS, ONLINE, SCALES, Task
 from detden_lite.recipe import attacker_grids
 from detden_lite.recipe.linear_search import LinearRecipe
 from detden_lite.recipe.offset_search import OffsetRecipe
 from detden_lite.training.adversary_recipe import AdversaryRecipe
 from detden_lite.training.dynamics_training import DynamicsRecipe
 from detden_lite.training.gruvae_training import VAERecipe
+from detden_lite.training.online_recipes import ATLARecipe, SAPPORecipe
 from detden_lite.training.recipes import PPORecipe, TD3Recipe
 from detden_lite.victims.critic import QRecipe
 
@@ -37,9 +38,37 @@ VICTIMS: dict[tuple[str, str], TD3Recipe | PPORecipe] = {
     ),
 }  # fmt: skip
 
+_LONG, _LONGEST = dict(steps=5_120_000, segment=102_400), dict(steps=10_240_000, segment=204_800)
+
+
+def _as_ppo(task: str, kind: type[PPORecipe], **changes: float) -> PPORecipe:
+    """The settings of the task's PPO victim, for another way to train."""
+    return kind(**(vars(VICTIMS[task, "ppo"]) | changes))
+
+
+# Trained online to be robust, and a control that is trained as long as ATLA, or Ant's SA-PPO: steps and weights of the
+# regularizer are those of Zhang et al. (2020, 2021). SA-PPO's control is the PPO victim, but for Ant.
+VICTIMS |= {
+    ("hopper", "sappo"): _as_ppo("hopper", SAPPORecipe, weight=1.0),
+    ("walker2d", "sappo"): _as_ppo("walker2d", SAPPORecipe, weight=0.1),
+    ("halfcheetah", "sappo"): _as_ppo("halfcheetah", SAPPORecipe, weight=0.1),
+    ("ant", "sappo"): _as_ppo("ant", SAPPORecipe, weight=0.003, **_LONGEST),
+    ("hopper", "zsappo"): _as_ppo("hopper", SAPPORecipe, weight=1.0, normalized=True),
+    ("hopper", "zatla"): _as_ppo("hopper", ATLARecipe, normalized=True, **_LONG),
+    ("ant", "vanilla"): _as_ppo("ant", PPORecipe, **_LONGEST),
+}
+for _task in ("hopper", "walker2d", "halfcheetah"):
+    for _algo, _kind in dict(atla=ATLARecipe, vanilla=PPORecipe).items():
+        VICTIMS[_task, _algo] = _as_ppo(_task, _kind, **_LONG)
+
 TINY_VICTIMS: dict[str, TD3Recipe | PPORecipe] = {
     "td3": TD3Recipe(steps=1_000, segment=500, net=32, batch=32, buffer=1_000, learning_starts=200),
-    "ppo": PPORecipe(steps=1_024, segment=512, net=32, envs=4, rollout=64, epochs=2),
+    "ppo": (_TINY := PPORecipe(steps=1_024, segment=512, net=32, envs=4, rollout=64, epochs=2)),
+    "vanilla": _TINY,
+    "sappo": SAPPORecipe(**vars(_TINY), grown=0.5),
+    "zsappo": SAPPORecipe(**vars(_TINY), grown=0.5, normalized=True),
+    "atla": ATLARecipe(**vars(_TINY), grown=0.5),
+    "zatla": ATLARecipe(**vars(_TINY), grown=0.5, normalized=True),
 }
 
 
@@ -146,11 +175,11 @@ def defense_scale(name: str, task: Task) -> DefenseScale:
 
 def get_scale(name: str, task: Task, algo: str = "td3") -> Scale:
     """The scale called ``name`` for a victim; a ValueError that lists the names otherwise."""
-    if algo not in ALGORITHMS:
-        raise ValueError(f"unknown algorithm {algo!r}; choose one of: {', '.join(ALGORITHMS)}")
+    if algo not in (known := (*ALGORITHMS, *ONLINE)):
+        raise ValueError(f"unknown algorithm {algo!r}; choose one of: {', '.join(known)}")
     if (task.name, algo) not in VICTIMS:
-        known = ", ".join(algo for name, algo in VICTIMS if name == task.name)
-        raise ValueError(f"algo: there is no recipe for {task.name} with {algo}; choose one of: {known or 'none'}")
+        those = ", ".join(algo for name, algo in VICTIMS if name == task.name)
+        raise ValueError(f"algo: there is no recipe for {task.name} with {algo}; choose one of: {those or 'none'}")
     sizes = vars(defense_scale(name, task))
     if name == "tiny":
         return Scale(

@@ -32,7 +32,8 @@ def choose(
     """The best snapshot of some trainings.
 
     Every snapshot plays screening episodes (the learning curves); the n best of these, and the best of each training,
-    play selection episodes; the best of those is chosen.
+    play selection episodes; the best of those is chosen. One that is to be robust may be chosen when it has grown up;
+    see ``OnlineRecipe``.
 
     Args:
         task: what they were trained for.
@@ -53,7 +54,7 @@ def choose(
         for path in tqdm(sorted((folder / "snapshots").glob("*.safetensors")), desc=folder.name, unit="snapshot"):
             own.append((measure(_load(path, config), "screening"), path, config, len(curves)))
         curves.append(dict(recipe=recipe, steps=[int(row[1].stem) for row in own], mean=[row[0] for row in own]))
-        rows += own
+        rows += [row for row in own if int(row[1].stem) > recipe.get("grown", 0) * recipe.get("steps", 0)]
     if not rows:
         raise ArtifactError(f"there is no snapshot to choose for {task.name}; train first")
     rows.sort(key=lambda row: -sign * row[0])

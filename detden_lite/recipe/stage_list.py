@@ -47,7 +47,7 @@ class Stage:
         group: a key of ``GROUPS``.
         text: what it does.
         function: "module:function", in ``detden_lite``.
-        rules: of the Snakefile that run it, each with the victims that it runs for: a setting in data/config.
+        rules: of the Snakefile that run it, each with the victims that it runs for: settings in data/config.
         options: of the command line, beside those that all stages have.
         keeps: what it stores on its way, so that a killed run resumes from there.
         row: whether it is of one victim; otherwise of the whole run.
@@ -57,7 +57,7 @@ class Stage:
         >>> STAGES["adversary"].text
         'train a member of the grid of adversaries'
         >>> dict(STAGES["adversary"].rules)
-        {'adversary': 'rows', 'adversary_defended': 'adapted'}
+        {'adversary': 'rows online', 'adversary_defended': 'adapted'}
     """
 
     name: str
@@ -70,6 +70,7 @@ class Stage:
     row: bool = True
 
 
+_BARE = "rows online"  # what is done to every victim, also to one that has no defence
 _SEED = Option("--seed", 0)
 _DATA = Option("--data", "diverse", tuple(DATASETS), "exploration in D_normal")
 _VARIANT = Option("--variant", MAIN, tuple(VARIANTS))
@@ -82,44 +83,44 @@ _RECORDS = "each record"
 _STAGES = (
     Stage(
         "victim", "victim", "train one seed of the victim", "recipe.victim_stages:train_victim",
-        dict(victim="rows"), (_SEED,), _SNAPSHOTS,
+        dict(victim=_BARE), (_SEED,), _SNAPSHOTS,
     ),
     Stage(
         "select", "victim", "choose the best snapshot of all seeds, and evaluate it",
-        "recipe.victim_stages:select_victim", dict(select="rows"),
+        "recipe.victim_stages:select_victim", dict(select=_BARE),
     ),
     Stage(
         "qfunction", "victim", "learn the Q-function that a PPO victim lacks", "recipe.victim_stages:learn_q",
-        dict(qfunction="rows"),
+        dict(qfunction=_BARE),
     ),
     Stage(
         "converge", "attack", "choose how many steps and restarts the gradient attacks take",
-        "recipe.convergence:converge", dict(converge="rows", converge_defended="rows"), (_DEFENDED,),
+        "recipe.convergence:converge", dict(converge=_BARE, converge_defended="rows"), (_DEFENDED,),
     ),
     Stage(
         "timing", "attack", "tune C_vul: for the most damage a strike, and for strikes at a third of the steps",
-        "recipe.vulnerability:tune_timing", dict(timing="rows"),
+        "recipe.vulnerability:tune_timing", dict(timing=_BARE),
     ),
     Stage(
         "planning", "attack", "choose the planner of the enchanting attack from several", "recipe.sweeps:planning",
-        dict(planning="rows"),
+        dict(planning=_BARE),
     ),
     Stage(
         "adversary", "attack", "train a member of the grid of adversaries", "recipe.adversary_stages:train_member",
-        dict(adversary="rows", adversary_defended="adapted"),
+        dict(adversary=_BARE, adversary_defended="adapted"),
         (Option("--member", 0, text="its place in the grid"), _DEFENDED), _SNAPSHOTS,
     ),
     Stage(
         "choose", "attack", "choose the adversary and the director that leave the victim the smallest return",
-        "recipe.adversary_stages:choose", dict(choose="rows", choose_defended="adapted"), (_DEFENDED,),
+        "recipe.adversary_stages:choose", dict(choose=_BARE, choose_defended="adapted"), (_DEFENDED,),
     ),
     Stage(
         "linear", "attack", "search for a linear adversary by the cross-entropy method",
-        "recipe.search_stages:search_linear", dict(linear="rows"), keeps="every generation",
+        "recipe.search_stages:search_linear", dict(linear=_BARE), keeps="every generation",
     ),
     Stage(
         "offset", "attack", "search for the most harmful offset to hold", "recipe.search_stages:search_offset",
-        dict(offset="rows", offset_defended="adapted"), (_DEFENDED,), "every round",
+        dict(offset=_BARE, offset_defended="adapted"), (_DEFENDED,), "every round",
     ),
     Stage(
         "collect", "defense", "collect D_normal, and held-out episodes for calibration",
@@ -151,7 +152,7 @@ _STAGES = (
     ),
     Stage(
         "evaluate", "measure", "run every cell of the tables: of the bare victim, or with its defences",
-        "recipe.evaluation:evaluate", dict(attacks="rows", evaluation="rows"),
+        "recipe.evaluation:evaluate", dict(attacks=_BARE, evaluation="rows"),
         (
             Option(
                 "--defenses", ("none", MAIN), ("none", *VARIANTS, *ASSEMBLED), "the defences, none for the bare victim"
@@ -190,7 +191,7 @@ _STAGES = (
         dict(look="rows"), (_VARIANT,),
     ),
     Stage(
-        "portrait", "look", "film a clean episode of the victim", "recipe.gallery:film_portrait", dict(portrait="rows")
+        "portrait", "look", "film a clean episode of the victim", "recipe.gallery:film_portrait", dict(portrait=_BARE)
     ),
     Stage(
         "gallery", "look", "film and record an episode under each attack", "recipe.gallery:film_attacks",
@@ -200,10 +201,10 @@ _STAGES = (
         "slip", "look", "record an episode under an attack that raises no alarm", "recipe.gallery:film_stealthy",
         dict(slip="studied"),
     ),
-    Stage("publish", "ship", "copy what is shipped into data/", "recipe.publish:publish", dict(publish="rows")),
+    Stage("publish", "ship", "copy what is shipped into data/", "recipe.publish:publish", dict(publish=_BARE)),
     Stage(
         "table", "ship", "gather the records of all victims in tables/returns.csv", "results.table:write_table",
-        dict(table="rows"), row=False,
+        dict(table=_BARE), row=False,
     ),
 )  # fmt: skip
 STAGES = {stage.name: stage for stage in _STAGES}

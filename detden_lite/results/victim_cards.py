@@ -3,12 +3,13 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from detden_lite.core import files
 from detden_lite.core.estimates import Estimate
-from detden_lite.core.tasks import Task, get_task
+from detden_lite.core.tasks import ONLINE, Task, get_task
 from detden_lite.results import records
 from detden_lite.results.cells import Cell
 from detden_lite.results.paper import ROWS
@@ -53,6 +54,7 @@ class VictimCard:
     config: Mapping[str, object]  # shapes of the networks
     versions: Mapping[str, str]
     fit: Mapping[str, float] | None  # of the learned Q-function; None for TD3, which has critics of its own
+    training: tuple[Mapping[str, Any], ...]  # what each seed of ``ONLINE`` went through: ``progress.columns``
 
     @property
     def name(self) -> str:
@@ -81,7 +83,7 @@ class VictimCard:
 
 def title(task: str, algo: str) -> str:
     """How the book calls a victim: "Hopper, TD3"."""
-    return f"{get_task(task).env_id.removesuffix('-v5')}, {algo.upper()}"
+    return f"{get_task(task).env_id.removesuffix('-v5')}, {ONLINE.get(algo, algo.upper())}"
 
 
 def load_card(task: str, algo: str, root: Path = manifest.DATA) -> VictimCard:
@@ -115,6 +117,7 @@ def load_card(task: str, algo: str, root: Path = manifest.DATA) -> VictimCard:
             config=about["config"],
             versions=about["versions"],
             fit=manifest.read_json(critic, root)["fit"] if critic.exists() else None,
+            training=tuple(about.get("training", ())),
         )
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise files.ArtifactError(f"{path} is no victim's card ({error!r}); make it with its recipe") from None

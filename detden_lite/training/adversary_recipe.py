@@ -55,8 +55,8 @@ class AdversaryRecipe(PPORecipe):
         actions = task.action_dim if self.director else task.obs_dim
         return super().config(replace(task, obs_dim=self.history * task.obs_dim, action_dim=actions))
 
-    def start(self, worlds: Worlds, seed: int) -> "PPO":
+    def start(self, task: Task, worlds: Worlds, seed: int) -> "PPO":
         """A new model, untrained."""
-        model = super().start(worlds, seed)
+        model = super().start(task, worlds, seed)
         model.ent_coef = self.entropy
         return model

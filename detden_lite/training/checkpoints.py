@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 STATES = ("actor_state", "qf_state", "vf_state")  # of a policy of sbx-rl: parameters and optimizers
 BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+ADVERSARY = "adversary."  # before the names of the arrays of an adversary who learns with the model
 COUNTERS = ("num_timesteps", "_n_updates", "_episode_num")
 
 
@@ -104,6 +105,8 @@ def _arrays(model: "TD3 | PPO") -> dict[str, np.ndarray]:
     if buffer := getattr(model, "replay_buffer", None):
         found |= {name: getattr(buffer, name)[: buffer.size()] for name in BUFFER}
     found["episodes"] = np.array([[e["r"], e["l"], e["t"]] for e in model.ep_info_buffer or ()]).reshape(-1, 3)
+    if adversary := getattr(model, "adversary", None):
+        found |= {f"{ADVERSARY}{name}": array for name, array in _arrays(adversary).items()}
     return found
 
 
@@ -123,6 +126,9 @@ def _restore(model: "TD3 | PPO", arrays: Mapping[str, np.ndarray]) -> None:
             getattr(buffer, name)[: buffer.size()] = arrays[name]
     episodes = [dict(r=r, l=length, t=t) for r, length, t in arrays["episodes"].tolist()]
     model.ep_info_buffer, model.ep_success_buffer = (deque(e, maxlen=model._stats_window_size) for e in (episodes, ()))
+    if adversary := getattr(model, "adversary", None):
+        own = {name.removeprefix(ADVERSARY): name for name in arrays if name.startswith(ADVERSARY)}
+        _restore(adversary, {name: arrays[whole] for name, whole in own.items()})
 
 
 def _sha256(path: Path) -> str:

@@ -68,7 +68,7 @@ class TD3Recipe:
         net = [self.net, self.net]
         return dict(actor=[task.obs_dim, *net, task.action_dim], critic=[task.obs_dim + task.action_dim, *net, 1])
 
-    def start(self, worlds: Worlds, seed: int) -> "TD3":
+    def start(self, task: Task, worlds: Worlds, seed: int) -> "TD3":
         """A new model, untrained."""
         from sbx import TD3
         from stable_baselines3.common.noise import NormalActionNoise
@@ -152,14 +152,20 @@ class PPORecipe:
             actor=[*layers, task.action_dim], value=[*layers, 1], n_critics=0, activation=self.activation, gaussian=True
         )
 
-    def start(self, worlds: Worlds, seed: int) -> "PPO":
+    @property
+    def algorithm(self) -> "type[PPO]":
+        """The class of the model."""
+        from sbx import PPO
+
+        return PPO
+
+    def start(self, task: Task, worlds: Worlds, seed: int) -> "PPO":
         """A new model, untrained."""
         import jax
-        from sbx import PPO
 
         activation = dict(tanh=jax.numpy.tanh, relu=jax.nn.relu)[self.activation]
         networks = dict(net_arch=[self.net, self.net], activation_fn=activation, log_std_init=self.log_std)
-        return PPO(
+        return self.algorithm(
             "MlpPolicy", self._normalized(worlds), learning_rate=self.learning_rate, n_steps=self.rollout,
             batch_size=self.batch, n_epochs=self.epochs, gamma=self.gamma, gae_lambda=self.gae_lambda,
             clip_range=self.clip, policy_kwargs=networks | dict(ortho_init=True), seed=seed,

@@ -18,6 +18,7 @@ from detden_lite.core.files import ArtifactError, replace_file
 from detden_lite.core.random_streams import derived_seed
 from detden_lite.core.tasks import Task
 from detden_lite.training import checkpoints
+from detden_lite.training.progress import Tally, record_progress
 from detden_lite.training.recipes import PPORecipe, TD3Recipe, Worlds
 from detden_lite.victims.victim import Victim
 
@@ -31,6 +32,8 @@ def train(
     prepare: Callable[[Any], None] | None = None,
 ) -> list[Path]:  # fmt: skip
     """Train, or go on training, and return the snapshots: one policy a segment, ``folder/snapshots/*.safetensors``.
+
+    ``folder/progress.json`` tells what happened in each segment; see ``detden_lite.training.progress``.
 
     Args:
         task: what is trained for.
@@ -54,7 +57,7 @@ def train(
     folder = Path(folder)
     snapshots = claim(folder, dict(task=task.name, seed=seed, **(about or {}), **recipe.identity))
     checkpoint = folder / "checkpoint"
-    model: Any = recipe.start(worlds, seed)  # of the recipe's own kind
+    model: Any = recipe.start(task, worlds, seed)  # of the recipe's own kind
     done = checkpoints.load(model, checkpoint)
     if prepare is not None and not done:
         prepare(model)
@@ -65,8 +68,11 @@ def train(
         for segment in range(done, segments):
             recipe.begin_segment(model, worlds, segment / segments)
             model.set_random_seed(derived_seed(seed, segment))
-            model.learn(recipe.segment, reset_num_timesteps=False)
+            tally, began = Tally(), (time.monotonic(), time.process_time())
+            model.learn(recipe.segment, callback=tally, reset_num_timesteps=False)
             steps = (segment + 1) * recipe.segment
+            spent = dict(seconds=time.monotonic() - began[0], cpu_seconds=time.process_time() - began[1])
+            record_progress(folder, steps, tally.take() | spent | getattr(model, "told", dict)())
             victim = Victim.from_sb3(model, model.get_vec_normalize_env())
             replace_file(snapshots / f"{steps:08d}.safetensors", save(victim.state_dict()))
             if segment + 1 == segments or time.monotonic() - saved >= checkpoint_seconds:

@@ -9,6 +9,7 @@ import numpy as np
 
 from detden_lite.core.tasks import Task
 from detden_lite.simulation.simulator import make
+from detden_lite.training.online_recipes import OnlineRecipe
 from detden_lite.training.recipes import PPORecipe, TD3Recipe
 from detden_lite.training.resumable import train
 
@@ -34,4 +35,5 @@ def train_victim(
     task: Task, recipe: TD3Recipe | PPORecipe, seed: int, folder: Path, checkpoint_seconds: float = 600
 ) -> list[Path]:
     """Train, or go on training, and return the snapshots; see ``train`` for what it raises."""
-    return train(task, recipe, seed, folder, partial(task_worlds, task), checkpoint_seconds=checkpoint_seconds)
+    about = dict(epsilon=task.epsilon) if isinstance(recipe, OnlineRecipe) else None
+    return train(task, recipe, seed, folder, partial(task_worlds, task), about, checkpoint_seconds)

@@ -60,10 +60,12 @@ def test_a_resumed_training_equals_an_uninterrupted_one(trained, tmp_path, monke
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(resumable, "tqdm", Interrupting)
         train(HOPPER, RECIPE, 0, tmp_path, worlds, dict(victim="a"), checkpoint_seconds=0)
-    assert len(contents(tmp_path)) == 1 and checkpoints.load(RECIPE.start(worlds, 0), tmp_path / "checkpoint") == 1
+    assert (
+        len(contents(tmp_path)) == 1 and checkpoints.load(RECIPE.start(HOPPER, worlds, 0), tmp_path / "checkpoint") == 1
+    )
     train(HOPPER, RECIPE, 0, tmp_path, worlds, dict(victim="a"))
     assert contents(tmp_path) == contents(trained)
-    model = RECIPE.start(worlds, 0)
+    model = RECIPE.start(HOPPER, worlds, 0)
     assert checkpoints.load(model, tmp_path / "checkpoint") == 4
     assert model.num_timesteps == 512 and model.ent_coef == 0.01
 

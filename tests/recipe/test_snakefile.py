@@ -16,7 +16,7 @@ import yaml
 from conftest import ROOT
 from rulegraph import rule_graph
 
-from detden_lite.core.tasks import ALGORITHMS, SCALES, TASKS
+from detden_lite.core.tasks import ALGORITHMS, ONLINE, SCALES, TASKS
 from detden_lite.defense import variants
 from detden_lite.defense.variants import MAIN, VARIANTS
 from detden_lite.recipe.scales import get_scale
@@ -26,13 +26,17 @@ from detden_lite.store import manifest, models
 
 DATA = ROOT / "data"
 ROWS = [f"{task}-{algo}" for algo in ALGORITHMS for task in TASKS]
-JOBS = dict(
+JOBS = dict(  # without the policies that are trained online
     victim=13, select=11, qfunction=5, trajectories=11, augmentation=11, detector=11, converge=10,
     converge_defended=10, timing=10, planning=10, offset=10, offset_defended=4,
     choose=10, linear=10, attacks=10, evaluation=10, table=1, look=10, portrait=10,
     epsilon=1, gallery=1, defend=1, baselines=1, threshold=1, ablation=1, all=1,
     choose_defended=4, adaptive=4, ceilings=6, barrier=1, curve=1, slip=1,
 )  # fmt: skip
+
+
+# What runs once for each policy, also for those that are trained online.
+BARE = "select qfunction converge timing planning offset choose linear attacks portrait".split()
 
 
 def recipe(folder: Path, *arguments, scale: str = "tiny") -> list[str]:
@@ -64,12 +68,15 @@ def refuse(folder: Path, *arguments) -> str:
 
 
 def jobs(scale: str) -> dict[str, int]:
-    """The number of jobs of each rule at a scale, for all ten rows and the one that is not the paper's."""
+    """The number of jobs of each rule at a scale, for all ten rows and those that are not the paper's."""
     config = yaml.safe_load((DATA / "config" / f"{scale}.yaml").read_text())
     variants = [config["variants"].get(row, config["variants"]["default"]) for row in ROWS]
     members, adapted = config["adversaries"], len(config["adapted"])
-    trained = dict(adversary=len(ROWS) * members, adversary_defended=adapted * members)
-    return JOBS | dict(denoiser=sum(map(len, variants))) | trained
+    online = config["online"]
+    trained = dict(adversary=(len(ROWS) + len(online)) * members, adversary_defended=adapted * members)
+    more = {rule: JOBS[rule] + len(online) for rule in BARE}
+    seeds = dict(victim=JOBS["victim"] + sum(len(config["seeds"].get(row, [0])) for row in online))
+    return JOBS | dict(denoiser=sum(map(len, variants))) | trained | more | seeds
 
 
 def planned(printed: str) -> dict[str, int]:
@@ -84,7 +91,9 @@ def test_every_scale_plans_the_whole_graph_for_all_ten_rows(tmp_path, scale):
     assert config["scale"] == scale and config["rows"] == ROWS and config["own"] == ["swimmer-ppo"]
     assert {*config["adapted"], *config["explained"]} <= set(ROWS)
     printed = run(tmp_path, "--dry-run", "--printshellcmds", scale=scale)
-    members = [len(get_scale(scale, TASKS[row.split("-")[0]], row.split("-")[1]).adversaries) for row in ROWS]
+    rows = ROWS + config["online"]
+    assert {row.split("-")[1] for row in config["online"]} <= set(ONLINE)
+    members = [len(get_scale(scale, TASKS[row.split("-")[0]], row.split("-")[1]).adversaries) for row in rows]
     assert planned(printed) == jobs(scale) and sum(members) == jobs(scale)["adversary"]
     assert set(re.findall(r"--member (\d+)", printed)) == {str(member) for member in range(max(members))}
     for stage in ("adversary", "choose", "adapt"):  # with the defence only for the adapted rows
@@ -93,8 +102,10 @@ def test_every_scale_plans_the_whole_graph_for_all_ten_rows(tmp_path, scale):
         assert {"-".join(row) for row in (told if stage == "adapt" else inside)} == set(config["adapted"])
     assert set(re.findall(r"--scale (\w+)", printed)) == {scale}
     named = re.findall(r"detden_lite victim --task (\w+) --algo (\w+) .*--seed (\d)", printed)
-    expected = [(*row.split("-"), "0") for row in (*ROWS, "swimmer-ppo")] + [("hopper", "td3", s) for s in "12"]
-    assert sorted(named) == sorted(expected)
+    expected = [(*row.split("-"), "0") for row in (*rows, "swimmer-ppo")] + [("hopper", "td3", s) for s in "12"]
+    twice = [row for row in config["online"] if row in config["seeds"]]
+    assert sorted(named) == sorted(expected + [(*row.split("-"), "1") for row in twice])
+    assert scale == "tiny" or {"hopper-sappo", "halfcheetah-sappo", "hopper-atla", "halfcheetah-atla"} <= set(twice)
 
 
 def test_each_rule_runs_its_stage_for_the_listed_victims(tmp_path):
@@ -105,9 +116,10 @@ def test_each_rule_runs_its_stage_for_the_listed_victims(tmp_path):
             blocks = re.findall(rf"^(?:local)?rule {rule}:\n((?:    .*\n|\n)*?.*detden_lite .*)", printed, re.M)
             assert all(f"detden_lite {stage.name} " in block for block in blocks), rule
             ran = {"-".join(row) for block in blocks for row in re.findall(r"--task (\w+) --algo (\w+)", block)}
-            named = set(config[setting]) | (set(config["own"]) if rule in ("victim", "select") else set())
+            named = {row for name in setting.split() for row in config[name]}
+            named |= set(config["own"]) if rule in ("victim", "select") else set()
             if rule == "qfunction":  # a TD3 victim has critics already
-                named = {row for row in named if row.endswith("ppo")}
+                named = {row for row in named if not row.endswith("td3")}
             assert ran == (named if stage.row and rule != "publish" else set()), rule
 
 
@@ -144,6 +156,8 @@ def test_one_row_can_be_planned_alone_without_films(tmp_path):
         planning=2, baselines=1, threshold=1, ablation=1, adversary_defended=4, choose_defended=1, adaptive=1,
         barrier=1, curve=1, ceilings=1, all=1,
     )  # fmt: skip
+    online = planned(run(tmp_path, "--dry-run", "--config", "only=hopper-atla", "films=false"))
+    assert online == dict.fromkeys({*BARE, "victim", "table", "all"} - {"portrait"}, 1) | dict(adversary=4)
     own = planned(run(tmp_path, "--dry-run", "--config", "only=swimmer-ppo"))
     assert own == dict(victim=1, select=1, defend=1, all=1)
 

@@ -101,7 +101,7 @@ def times(folder: Path) -> list[int]:
 
 
 def saved_model(folder: Path, recipe):
-    model = recipe.start(WORLDS, 9)
+    model = recipe.start(HOPPER, WORLDS, 9)
     assert checkpoints.load(model, folder / "checkpoint") > 0
     return model
 
@@ -116,7 +116,7 @@ def test_a_checkpoint_remembers_the_returns_of_the_last_episodes(uninterrupted, 
 def test_ppo_keeps_its_normalisers_statistics_over_segments():
     """They count every observation and become the victim's first layer; rewards have statistics of their own."""
     recipe = RECIPES["ppo"]
-    model = recipe.start(WORLDS, 0)
+    model = recipe.start(HOPPER, WORLDS, 0)
     for segment in range(2):
         recipe.begin_segment(model, WORLDS, segment / 2)
         model.set_random_seed(segment)
@@ -158,7 +158,7 @@ def test_a_checkpoint_of_ppo_holds_its_normaliser(tmp_path):
 
 def test_the_learning_rate_of_ppo_falls_with_every_segment():
     recipe = RECIPES["ppo"]
-    model, rates = recipe.start(WORLDS, 0), []
+    model, rates = recipe.start(HOPPER, WORLDS, 0), []
     for done in (0, 0.4, 0.8):
         recipe.begin_segment(model, WORLDS, done)
         model.learn(recipe.envs * recipe.rollout, reset_num_timesteps=False)
@@ -273,7 +273,7 @@ def test_a_damaged_checkpoint_is_refused_by_name(tmp_path, begun, recipe, damage
 
 def test_a_checkpoint_of_another_network_is_refused(begun, recipe):
     with pytest.raises(ArtifactError, match="model-1.npz does not fit this recipe"):
-        checkpoints.load(replace(recipe, net=8).start(WORLDS, 0), begun / "checkpoint")
+        checkpoints.load(replace(recipe, net=8).start(HOPPER, WORLDS, 0), begun / "checkpoint")
 
 
 def test_a_finished_td3_can_be_prolonged_a_ppo_cannot(tmp_path, uninterrupted, recipe, algo):

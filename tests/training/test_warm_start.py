@@ -17,7 +17,7 @@ def test_the_copy_acts_as_its_teacher_and_can_still_learn():
     teacher.actor[0].weight.mul_(0.5)
     seen = rollout(victim, HOPPER, range(8), steps=30)
     obs = seen.obs[seen.mask]
-    model = RECIPE.start(lambda n: VecMonitor(AdversaryEnv(victim, HOPPER, BUDGET, n, steps=20)), 0)
+    model = RECIPE.start(HOPPER, lambda n: VecMonitor(AdversaryEnv(victim, HOPPER, BUDGET, n, steps=20)), 0)
     wanted = teacher(torch.from_numpy(obs))
 
     def error() -> float:
