@@ -39,8 +39,8 @@ def check_inner_maximum(
     ``epsilon`` (l-infinity) around ``obs``.
     """
     draw = torch.Generator().manual_seed(0)
-    weights, obs, epsilon = torch.tensor([[3.0, 0.1], [-0.5, 0.2], [0.2, -4.0]]), torch.randn(6, 3, generator=draw), 0.2
-    std = torch.tensor([1.0, 2.0])
+    weights, obs = torch.randn(10, 2, generator=draw) / 2, torch.randn(6, 10, generator=draw)
+    std, epsilon = torch.tensor([1.0, 2.0]), 0.2
 
     def policy(points: Tensor) -> Tensor:
         return torch.tanh(points @ weights)
@@ -48,7 +48,7 @@ def check_inner_maximum(
     def divergence(points: Tensor) -> Tensor:
         return ((policy(points) - policy(obs)) / std).square().sum(-1) / 2
 
-    start = obs + epsilon * (2 * torch.rand(6, 3, generator=draw) - 1)
+    start = obs + epsilon * (2 * torch.rand(6, 10, generator=draw) - 1)
     call = "inner_maximum(policy, std, obs, start, epsilon, steps=10)"
     got = torch.as_tensor(array(call, inner_maximum(policy, std, obs, start, epsilon, 10)), dtype=torch.float32)
     assert got.shape == obs.shape, f"{call} has the shape {tuple(got.shape)}; it should have {tuple(obs.shape)}"
@@ -64,7 +64,7 @@ def check_inner_maximum(
     assert (found >= begun - 1e-6).all(), (
         f"{call} is smaller than at the start in {int((found < begun).sum())} of 6 rows: climb, along +sign(gradient)"
     )
-    tried = [obs + epsilon * (2 * torch.rand(6, 3, generator=draw) - 1) for _ in range(50)]
+    tried = [obs + epsilon * (2 * torch.rand(6, 10, generator=draw) - 1) for _ in range(50)]
     best = torch.stack([divergence(points) for points in tried]).amax(0)
     assert found.mean() > best.mean(), (
         f"{call} reaches {found.mean():.3f} on average, and the best of 50 random points {best.mean():.3f}: are the "
