@@ -150,7 +150,7 @@ def ship_victim(root: Path, task: str = "hopper", algo: str = "td3", **changes) 
             dict(seed=1, steps=[1_000, 2_000, 3_000], mean=[2.0, 8.0, 4.0]),
         ],
     )  # fmt: skip
-    victim = make_victim(TASKS[task], gaussian=algo == "ppo")
+    victim = make_victim(TASKS[task], gaussian=algo != "td3")
     models.save_victim(task, algo, victim, {**about, **changes}, root)
 
 

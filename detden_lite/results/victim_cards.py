@@ -29,6 +29,7 @@ class LearningCurve:
     seed: int
     steps: np.ndarray  # environment steps
     mean: np.ndarray
+    attacked: np.ndarray | None = None  # the same under the opposite attack, of a policy that is to be robust
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,12 @@ def load_card(task: str, algo: str, root: Path = manifest.DATA) -> VictimCard:
             estimate=record.estimate if record else Estimate(**about["estimate"]),
             first_returns=np.array(about["returns"]),
             curves=tuple(
-                LearningCurve(curve["seed"], np.array(curve["steps"]), np.array(curve["mean"]))
+                LearningCurve(
+                    curve["seed"],
+                    np.array(curve["steps"]),
+                    np.array(curve["mean"]),
+                    np.array(curve["attacked"]) if "attacked" in curve else None,
+                )  # fmt: skip
                 for curve in about["learning_curves"]
             ),
             seed=about["recipe"]["seed"],
