@@ -46,20 +46,24 @@ def _as_ppo(task: str, kind: type[PPORecipe], **changes: float) -> PPORecipe:
     return kind(**(vars(VICTIMS[task, "ppo"]) | changes))
 
 
-# Trained online to be robust, and a control that is trained as long as ATLA, or Ant's SA-PPO: steps and weights of the
-# regularizer are those of Zhang et al. (2020, 2021). SA-PPO's control is the PPO victim, but for Ant.
+# Trained online to be robust, and a control that is trained as long as ATLA, or Ant's SA-PPO. Steps, weights of the
+# regularizer and of ATLA's entropy bonus are those of Zhang et al. (2020, 2021). SA-PPO's control is the PPO victim,
+# except for Ant.
 VICTIMS |= {
     ("hopper", "sappo"): _as_ppo("hopper", SAPPORecipe, weight=1.0),
     ("walker2d", "sappo"): _as_ppo("walker2d", SAPPORecipe, weight=0.1),
     ("halfcheetah", "sappo"): _as_ppo("halfcheetah", SAPPORecipe, weight=0.1),
     ("ant", "sappo"): _as_ppo("ant", SAPPORecipe, weight=0.003, **_LONGEST),
-    ("hopper", "zsappo"): _as_ppo("hopper", SAPPORecipe, weight=1.0, normalized=True),
-    ("hopper", "zatla"): _as_ppo("hopper", ATLARecipe, normalized=True, **_LONG),
+    ("hopper", "atla"): _as_ppo("hopper", ATLARecipe, entropy=1e-2, **_LONG),
+    ("walker2d", "atla"): _as_ppo("walker2d", ATLARecipe, entropy=1e-3, **_LONG),
+    ("halfcheetah", "atla"): _as_ppo("halfcheetah", ATLARecipe, entropy=3e-4, **_LONG),
+    ("hopper", "vanilla"): _as_ppo("hopper", PPORecipe, **_LONG),
+    ("walker2d", "vanilla"): _as_ppo("walker2d", PPORecipe, **_LONG),
+    ("halfcheetah", "vanilla"): _as_ppo("halfcheetah", PPORecipe, **_LONG),
     ("ant", "vanilla"): _as_ppo("ant", PPORecipe, **_LONGEST),
+    ("hopper", "zsappo"): _as_ppo("hopper", SAPPORecipe, weight=1.0, normalized=True),
+    ("hopper", "zatla"): _as_ppo("hopper", ATLARecipe, entropy=1e-2, normalized=True, **_LONG),
 }
-for _task in ("hopper", "walker2d", "halfcheetah"):
-    for _algo, _kind in dict(atla=ATLARecipe, vanilla=PPORecipe).items():
-        VICTIMS[_task, _algo] = _as_ppo(_task, _kind, **_LONG)
 
 TINY_VICTIMS: dict[str, TD3Recipe | PPORecipe] = {
     "td3": TD3Recipe(steps=1_000, segment=500, net=32, batch=32, buffer=1_000, learning_starts=200),
