@@ -4,8 +4,8 @@ import inspect
 import re
 
 from detden_lite.defense import variants
-from detden_lite.defense.training import VAERecipe
 from detden_lite.defense.variants import DATASETS, MAIN, VARIANTS
+from detden_lite.training.gruvae_training import VAERecipe
 
 # symbol, in words, name in the code, shape; each name is looked up by a test
 SYMBOLS = (
