@@ -1,8 +1,9 @@
 """Prints the built book into one PDF: ``python pdf.py _build/html _build/book.pdf``.
 
 Each page is opened in a headless Chromium and waited for. Films, recordings and widgets become stills, folded code is
-left out, solutions move to the end of their chapter, and what is wider than the paper is made smaller. Then all pages
-are one page, with the styles of ``_static/book.css`` for paper, and that one is printed.
+left out, long folded tables are only named, solutions move to the end of their chapter, and what is wider than the
+paper is made smaller. Then all pages are one page, with the styles of ``_static/book.css`` for paper, and that one is
+printed.
 """
 
 import argparse
@@ -18,10 +19,11 @@ from serve import make_server
 BOOK = Path(__file__).resolve().parents[1]
 PAPER = 660  # CSS pixels between the margins of A4
 MARGINS = dict(top="18mm", bottom="20mm", left="18mm", right="17mm")
+LONG = 12  # rows; a folded table with more stays folded, with its title alone
 FOOT = '<div style="font-size: 8px; width: 100%; text-align: center"><span class="pageNumber"></span></div>'
 
 # What a page becomes on paper. Its names get the page's own prefix, since all pages become one.
-PREPARE = """async ([prefix, root]) => {
+PREPARE = """async ([prefix, root, LONG]) => {
   const article = document.querySelector("article.bd-article");
   article.querySelectorAll(".recording-bar, .recording-stage, script, .headerlink, .prev-next-area, .copybtn")
     .forEach(part => part.remove());
@@ -47,7 +49,7 @@ PREPARE = """async ([prefix, root]) => {
   }
   for (const fold of article.querySelectorAll("details")) {
     if (fold.classList.contains("hide") && !solutions.contains(fold)) fold.remove();  // code of figures
-    else fold.open = true;
+    else fold.open = fold.querySelectorAll("tr").length <= LONG;
   }
   for (const image of article.querySelectorAll("img")) {
     image.loading = "eager";
@@ -73,12 +75,10 @@ PREPARE = """async ([prefix, root]) => {
 FIT = """() => {
   const kinds = "mjx-container[display='true'], table, .widget-subarea, .cell_output > *";
   const wide = [...document.querySelectorAll(kinds)];
-  for (let round = 0; round < 3; round++)
-    for (const element of wide) {
-      const place = element.parentElement.clientWidth, width = element.scrollWidth;
-      const now = parseFloat(element.style.zoom) || 1;
-      if (width > place + 1) element.style.zoom = now * Math.max(0.3, place / width * 0.99);
-    }
+  for (const element of wide) {
+    const place = element.parentElement.clientWidth, width = element.scrollWidth;  // without its own zoom
+    if (width > place + 1) element.style.zoom = place / width * 0.99;
+  }
   const paper = document.body.getBoundingClientRect().right;
   return [...document.querySelectorAll("mjx-math, table, pre, img")]
     .filter(element => element.getBoundingClientRect().right > paper + 1)
@@ -116,7 +116,7 @@ def gather(page: Page, address: str, names: list[str]) -> str:
             view.locator("xpath=preceding-sibling::*[contains(@class, 'widget-subarea')]/*").wait_for()
         prefix = f"{name.removesuffix('.html').replace('/', '-')}--"
         sheets += page.eval_on_selector_all("link[rel=stylesheet]", "all => all.map(link => link.href)")
-        article, found = page.evaluate(PREPARE, [prefix, "/"])
+        article, found = page.evaluate(PREPARE, [prefix, "/", LONG])
         articles.append(article)
         styles += found
     links = "".join(f'<link rel="stylesheet" href="{sheet}">' for sheet in dict.fromkeys(sheets))

