@@ -71,18 +71,26 @@ PREPARE = """async ([prefix, root, LONG]) => {
   return [`<article class="bd-article paper" id="${prefix}">${article.innerHTML}</article>`, styles];
 }"""
 
-# What is wider than the paper becomes as small as it must; what still is too wide is returned.
+# What is wider than its place becomes as small as it must; what still leaves the paper is returned. A formula may leave
+# its place on either side, so its letters are measured.
 FIT = """() => {
+  const span = element => {
+    const letters = element.matches("mjx-container") ? [...element.querySelectorAll("mjx-c, mjx-mtext")] : [];
+    const boxes = (letters.length ? letters : [element]).map(part => part.getBoundingClientRect());
+    return [Math.min(...boxes.map(box => box.left)), Math.max(...boxes.map(box => box.right))];
+  };
   const kinds = "mjx-container[display='true'], table, .widget-subarea, .cell_output > *";
-  const wide = [...document.querySelectorAll(kinds)];
-  for (const element of wide) {
-    const place = element.parentElement.clientWidth, width = element.scrollWidth;  // without its own zoom
-    if (width > place + 1) element.style.zoom = place / width * 0.99;
+  for (const element of document.querySelectorAll(kinds)) {
+    const place = element.parentElement.getBoundingClientRect(), [left, right] = span(element);
+    const over = Math.max(0, place.left - left, right - place.right);
+    const natural = Math.max(element.scrollWidth, over > 1 ? place.width + 2 * over : 0);
+    if (natural > place.width + 1) element.style.zoom = place.width / natural * 0.98;
   }
-  const paper = document.body.getBoundingClientRect().right;
-  return [...document.querySelectorAll("mjx-math, table, pre, img")]
-    .filter(element => element.getBoundingClientRect().right > paper + 1)
-    .map(element => `${element.closest("article").id} ${element.tagName} ${element.textContent.slice(0, 80)}`);
+  const paper = document.body.getBoundingClientRect();
+  return [...document.querySelectorAll("mjx-container, table, pre, img")].filter(element => {
+    const [left, right] = span(element);
+    return left < paper.left - 1 || right > paper.right + 1;
+  }).map(element => `${element.closest("article").id} ${element.tagName} ${element.textContent.slice(0, 80)}`);
 }"""
 
 
@@ -164,9 +172,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("folder", type=Path, help="the built book")
     parser.add_argument("target", type=Path, help="the PDF")
+    parser.add_argument("pages", nargs="*", help="such as chapters/01-mdp.html; all by default")
     arguments = parser.parse_args()
     try:
-        print_book(arguments.folder, arguments.target)
+        print_book(arguments.folder, arguments.target, arguments.pages)
     except (RuntimeError, ValueError) as error:
         sys.exit(f"error: {error}")
     print(f"written: {arguments.target} ({arguments.target.stat().st_size / 1e6:.0f} MB)")
