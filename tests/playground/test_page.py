@@ -7,8 +7,10 @@ import pytest
 from conftest import ROOT
 
 AXE = ROOT / "_build" / "playground" / "node_modules" / "axe-core" / "axe.min.js"
+LONG = 300_000  # milliseconds: a busy machine without a graphics card draws slowly
 SERIOUS = """async () => {
-    const {violations} = await axe.run(".playground");
+    const {violations, passes} = await axe.run(".playground");
+    if (passes.length < 10) throw new Error("axe saw next to nothing");
     return violations.filter(v => ["serious", "critical"].includes(v.impact)).map(v => [v.id, v.nodes[0].html]);
 }"""
 
@@ -33,8 +35,15 @@ def number(page, name: str, lane: int = 0) -> int:
 
 def run_to_the_end(page) -> str:
     page.get_by_role("button", name="Run").click()
-    page.wait_for_function("/Fell at|Did not fall/.test(document.querySelector('.pg-status').textContent)")
+    ended = "/Fell at|Did not fall/.test(document.querySelector('.pg-status').textContent)"
+    page.wait_for_function(ended, timeout=LONG)
     return page.locator(".pg-status").inner_text()
+
+
+def wait_for_steps(page, steps: int, lane: int = 0) -> None:
+    """Wait until a robot has made so many steps."""
+    counted = "([steps, lane]) => document.querySelectorAll('[data-number=steps]')[lane].textContent >= steps"
+    page.wait_for_function(counted, arg=[steps, lane], timeout=LONG)
 
 
 def painted(page, selector: str) -> int:
@@ -54,7 +63,7 @@ def test_it_opens_with_a_robot_and_waits(play):
 def test_a_clean_robot_walks_five_hundred_steps(play):
     with play("scene=clean&speed=max") as page:
         page.get_by_role("button", name="Run").click()
-        page.wait_for_function("document.querySelector('[data-number=steps]').textContent >= 500")
+        wait_for_steps(page, 500)
         assert number(page, "return") > 1_000
         assert "Fell" not in page.locator(".pg-status").inner_text()
 
@@ -66,12 +75,14 @@ def test_a_bare_robot_falls_under_an_attack(play, query):
         assert number(page, "strikes") == number(page, "steps") < 500
 
 
-@pytest.mark.slow
-def test_beside_the_bare_robot_the_defended_one_survives(play):
+def test_beside_the_bare_robot_that_falls_the_defended_one_goes_on(play):
     with play("scene=compare&timing=always&speed=max&seed=1") as page:
-        bare, defended = run_to_the_end(page).split("Hopper, TD3, ")[1:]
-        assert bare.startswith("bare: Fell") and defended.startswith("defended: Did not fall")
-        assert number(page, "alarms", 0) == 0 and number(page, "alarms", 1) > 500
+        page.get_by_role("button", name="Run").click()
+        wait_for_steps(page, 500, lane=1)
+        page.keyboard.press("p")
+        assert number(page, "strikes", 0) == number(page, "steps", 0) < 100
+        assert number(page, "alarms", 0) == 0 and number(page, "alarms", 1) > 250
+        assert "Fell" not in page.locator(".pg-status").inner_text()
         assert painted(page, ".pg-traces") > 5
 
 
@@ -113,7 +124,7 @@ def test_it_works_with_the_keyboard_alone(play):
             if page.evaluate("document.activeElement.matches('.pg-stage')"):
                 break
         keys.press("Space")
-        page.wait_for_function("document.querySelector('[data-number=steps]').textContent >= 20")
+        wait_for_steps(page, 20)
         keys.press("p")
         paused = number(page, "steps")
         keys.press("s")

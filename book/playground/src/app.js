@@ -12,7 +12,7 @@ import { drawTraces, panels } from "./traces.js";
 
 const COLOURS = ["true", "shown", "denoised", "alarm", "body", "floor", "muted", "text"];
 const LONGEST_FRAME = 0.25; // seconds; a page that was away does not catch up
-const BUSY = { time: 24, max: 14 }; // milliseconds of a frame that steps may take
+const BUSY = { share: 0.7, least: 0.012, most: 0.12 }; // how much of a frame's time steps may take; seconds
 let active = null; // the one playground that runs
 
 /** Opens a playground inside an element, in the state of a query; see scenes.js. */
@@ -197,7 +197,7 @@ class Playground {
     const passed = Math.min((now - (this.before ?? now)) / 1000, LONGEST_FRAME);
     this.before = now;
     this.due = speed === "max" ? Infinity : this.due + (passed * Number(speed)) / this.robot.dt;
-    const end = performance.now() + (speed === "max" ? BUSY.max : BUSY.time);
+    const end = performance.now() + 1000 * Math.min(Math.max(BUSY.share * passed, BUSY.least), BUSY.most);
     while (this.due >= 1 && this.running && performance.now() < end) {
       this.advance();
       this.due -= 1;
