@@ -35,7 +35,11 @@ SYMBOLS = (
     (r"$D_{adv}$", "the same, attacked offline", "augment", "`[episodes, steps, obs_dim]`"),
     (r"$R_{ppo}$, $R_{td3}$", "distance of two actions", "mahalanobis, euclidean", "`[N]`"),
 )
-EXPLORATION = {"plain": "none", "diverse": "none and a little, up to {most:g} of half the action range"}
+EXPLORATION = {
+    "plain": "none",
+    "diverse": "none and a little, up to {most:g} of half the action range",
+    "coloured": "as *diverse*, white or correlated for up to {memory:g} steps",
+}
 
 
 def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
@@ -58,9 +62,12 @@ def trained() -> str:
     rows = []
     for name, variant in VARIANTS.items():
         settings = ", ".join(f"`{key}={value}`" for key, value in variant.recipe.items())
-        exploration = EXPLORATION[variant.data].format(most=max(DATASETS[variant.data]))
+        noise = DATASETS[variant.data]
+        exploration = EXPLORATION[variant.data].format(most=max(noise.noise), memory=max(noise.memory))
+        attacked = attacks[variant.adversarial[-1]] if variant.adversarial else "none"
+        denoiser = "a model of the motion and a filter, no GRU-VAE" if variant.predicts else settings
         shown = f"**{name}** (the main one)" if name == MAIN else f"*{name}*"
-        rows.append((shown, exploration, attacks[variant.adversarial[-1]], settings or "as printed in the paper"))
+        rows.append((shown, exploration, attacked, denoiser or "as printed in the paper"))
     return _table(("name", "noise on the actions in $D_{normal}$", "attacks in $D_{adv}$", "denoiser"), rows)
 
 
