@@ -54,7 +54,8 @@ def choose(
         for path in tqdm(sorted((folder / "snapshots").glob("*.safetensors")), desc=folder.name, unit="snapshot"):
             own.append((measure(_load(path, config), "screening"), path, config, len(curves)))
         curves.append(dict(recipe=recipe, steps=[int(row[1].stem) for row in own], mean=[row[0] for row in own]))
-        rows += [row for row in own if int(row[1].stem) > recipe.get("grown", 0) * recipe.get("steps", 0)]
+        grown = recipe.get("grown")
+        rows += [row for row in own if not grown or int(row[1].stem) > grown * recipe["steps"]]
     if not rows:
         raise ArtifactError(f"there is no snapshot to choose for {task.name}; train first")
     rows.sort(key=lambda row: -sign * row[0])

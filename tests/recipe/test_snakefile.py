@@ -27,7 +27,7 @@ from detden_lite.store import manifest, models
 DATA = ROOT / "data"
 ROWS = [f"{task}-{algo}" for algo in ALGORITHMS for task in TASKS]
 JOBS = dict(  # without the policies that are trained online
-    victim=13, select=11, qfunction=5, trajectories=11, augmentation=11, detector=11, converge=10,
+    victim=13, select=11, qfunction=5, augmentation=11, detector=11, converge=10,
     converge_defended=10, timing=10, planning=10, offset=10, offset_defended=4,
     choose=10, linear=10, attacks=10, evaluation=10, table=1, look=10, portrait=10,
     epsilon=1, gallery=1, defend=1, baselines=1, threshold=1, ablation=1, all=1,
@@ -76,7 +76,8 @@ def jobs(scale: str) -> dict[str, int]:
     trained = dict(adversary=(len(ROWS) + len(online)) * members, adversary_defended=adapted * members)
     more = {rule: JOBS[rule] + len(online) for rule in BARE}
     seeds = dict(victim=JOBS["victim"] + sum(len(config["seeds"].get(row, [0])) for row in online))
-    return JOBS | dict(denoiser=sum(map(len, variants))) | trained | more | seeds
+    collected = sum(len({VARIANTS[name].data for name in names}) for names in variants)
+    return JOBS | dict(denoiser=sum(map(len, variants)), trajectories=collected) | trained | more | seeds
 
 
 def planned(printed: str) -> dict[str, int]:
@@ -150,7 +151,7 @@ def test_a_profile_is_for_the_executor_of_its_name(profile):
 def test_one_row_can_be_planned_alone_without_films(tmp_path):
     rows = planned(run(tmp_path, "--dry-run", "--config", "only=hopper-td3 ant-ppo", "films=false"))
     assert rows == dict(
-        victim=4, select=2, qfunction=1, trajectories=3, augmentation=3, detector=3, denoiser=9, converge=2,
+        victim=4, select=2, qfunction=1, trajectories=5, augmentation=3, detector=3, denoiser=11, converge=2,
         converge_defended=2, timing=2,
         adversary=8, choose=2, linear=2, offset=2, offset_defended=1, attacks=2, evaluation=2, table=1, epsilon=1,
         planning=2, baselines=1, threshold=1, ablation=1, adversary_defended=4, choose_defended=1, adaptive=1,
@@ -311,4 +312,6 @@ def test_each_variant_is_trained_on_the_listed_data(tmp_path):
     printed = run(tmp_path, "--dry-run", "--printshellcmds", "--config", "only=hopper-td3")
     for name, variant in VARIANTS.items():
         (needed,) = re.findall(rf"input: (.+)\n    output: hopper-td3/denoiser-{name}\.safetensors", printed)
-        assert needed.split(", ") == [f"hopper-td3/{part}-{variant.data}/done" for part in variant.adversarial]
+        assert needed.split(", ") == [
+            f"hopper-td3/{part}-{variant.data}/done" for part in ("normal", *variant.adversarial)
+        ]
