@@ -77,8 +77,14 @@ VENDOR = ("_build/vendor/widgets/embed.js", "_build/vendor/playground/playground
 MADE = [part for name in (".venv/stamp", "_build/cache.stamp", *VENDOR) for part in ("-o", name)]
 
 
-def build(folder: Path, text: str) -> subprocess.CompletedProcess:
+def write(folder: Path, text: str) -> None:
+    """A page that is newer than the book, however coarse the clock of the file system is."""
     (folder / "book" / "index.md").write_text(text)
+    (folder / "_build" / "html.stamp").unlink(missing_ok=True)
+
+
+def build(folder: Path, text: str) -> subprocess.CompletedProcess:
+    write(folder, text)
     return make(folder, *MADE, "book", "SERVE=0")
 
 
@@ -91,7 +97,7 @@ def test_a_failing_build_leaves_the_old_book(book):
 
 
 def test_an_interrupted_build_leaves_the_old_book(book):
-    (book / "book" / "index.md").write_text("slow")
+    write(book, "slow")
     quiet = dict(stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
     process = subprocess.Popen(["make", *MADE, "book", "SERVE=0"], cwd=book, **quiet)
     deadline = time.monotonic() + 60
