@@ -9,17 +9,15 @@ from typing import TYPE_CHECKING
 
 import torch
 from safetensors.torch import load_file
-from torch import Tensor
 
-from detden_lite.attacks.optimal import OptimalAttack
 from detden_lite.attacks.threat import Threat
 from detden_lite.core.arguments import check_whole
 from detden_lite.core.budget import Budget
 from detden_lite.core.estimates import Estimate, estimate
 from detden_lite.defense.defended import Defended
-from detden_lite.recipe import linear_search
 from detden_lite.recipe.episode_seeds import seeds
 from detden_lite.recipe.linear_search import LinearMaps, LinearRecipe
+from detden_lite.recipe.search_stages import returns_under, search_maps
 from detden_lite.simulation.rollout import rollout
 from detden_lite.victims.victim import Victim
 
@@ -164,22 +162,10 @@ def judge(
 
 def _search(defended: Defended, ball: Budget, recipe: LinearRecipe, folder: Path, steps: int | None) -> Victim:
     """The linear map that leaves the bare policy the smallest return, of those that the search went through."""
-    task, victim, normal = defended.task, defended.victim, 8
-    clean = rollout(victim, task, seeds("search", normal), steps=steps)
-    played = seeds("search", normal + recipe.generations * recipe.episodes)[normal:]
-
-    def left(adversaries: LinearMaps, episodes: range) -> Tensor:
-        maps = adversaries.maps.repeat_interleave(len(episodes), 0)
-        attack = OptimalAttack(LinearMaps(adversaries.normalizer, maps), ball)
-        found = rollout(victim, task, [*episodes] * len(adversaries.maps), attack=attack, steps=steps)
-        return torch.from_numpy(found.returns.reshape(-1, len(episodes)).mean(1))
-
-    def measure(adversaries: LinearMaps, generation: int) -> Tensor:
-        return left(adversaries, played[generation * recipe.episodes : (generation + 1) * recipe.episodes])
-
+    task, victim = defended.task, defended.victim
     about = dict(epsilon=ball.epsilon, norm=str(ball.norm))
-    paths = linear_search.search(recipe, task, 0, folder, clean.obs[clean.mask], measure, about)
-    states = [load_file(path) for path in paths]
+    states = [load_file(path) for path in search_maps(recipe, task, victim, ball, folder, steps, about)]
     maps = [torch.cat([state["actor.0.weight"], state["actor.0.bias"][:, None]], 1) for state in states]
     means = [Victim.from_state(recipe.config(task), state) for state in states]
-    return means[int(left(LinearMaps(means[0], torch.stack(maps)), seeds("selection", 8)).argmin())]
+    left = returns_under(LinearMaps(means[0], torch.stack(maps)), victim, task, ball, seeds("selection", 8), steps)
+    return means[int(left.argmin())]

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+
 import torch
 from torch import Tensor
 
 from detden_lite.attacks.held import OffsetAttack
 from detden_lite.attacks.optimal import OptimalAttack
+from detden_lite.core.budget import Budget
+from detden_lite.core.tasks import Task
 from detden_lite.core.types import Attack, Defense
 from detden_lite.defense.variants import MAIN
 from detden_lite.recipe import episode_seeds, linear_search, offset_search
@@ -26,19 +31,32 @@ def search_linear(run: Run[Scale], seed: int = 0) -> None:
         run: where.
         seed: of the search.
     """
-    recipe, victim, normal = run.scale.linear, run.victim(), 8
-    clean = rollout(victim, run.task, episode_seeds.seeds("search", normal), steps=run.scale.horizon)
-    played = episode_seeds.seeds("search", normal + recipe.generations * recipe.episodes)[normal:]
+    folder = run.folder / "checkpoints" / "linear"
+    search_maps(run.scale.linear, run.task, run.victim(), run.budget, folder, run.scale.horizon, about(run), seed)
+    store_best(run, "linear", {folder: LinearRecipe}, ("always",))
+
+
+def search_maps(
+    recipe: LinearRecipe, task: Task, victim: Victim, budget: Budget, folder: Path, steps: int | None,
+    about: Mapping[str, object], seed: int = 0,
+) -> list[Path]:  # fmt: skip
+    """Search for a linear adversary of a bare victim; see ``linear_search.search`` for what it returns."""
+    normal, k = 8, recipe.episodes
+    clean = rollout(victim, task, episode_seeds.seeds("search", normal), steps=steps)
+    played = episode_seeds.seeds("search", normal + recipe.generations * k)[normal:]
 
     def measure(adversaries: LinearMaps, generation: int) -> Tensor:
-        k = recipe.episodes
-        rows = LinearMaps(adversaries.normalizer, adversaries.maps.repeat_interleave(k, 0))
-        attack = OptimalAttack(rows, run.budget)
-        return _left(run, victim, attack, len(adversaries.maps), played[generation * k : (generation + 1) * k])
+        return returns_under(adversaries, victim, task, budget, played[generation * k : (generation + 1) * k], steps)
 
-    folder = run.folder / "checkpoints" / "linear"
-    linear_search.search(recipe, run.task, seed, folder, clean.obs[clean.mask], measure, about(run))
-    store_best(run, "linear", {folder: LinearRecipe}, ("always",))
+    return linear_search.search(recipe, task, seed, folder, clean.obs[clean.mask], measure, about)
+
+
+def returns_under(
+    adversaries: LinearMaps, victim: Victim, task: Task, budget: Budget, seeds: range, steps: int | None
+) -> Tensor:
+    """The mean return against each of n linear adversaries, ``[n]``."""
+    rows = LinearMaps(adversaries.normalizer, adversaries.maps.repeat_interleave(len(seeds), 0))
+    return _left(victim, task, OptimalAttack(rows, budget), len(adversaries.maps), seeds, steps)
 
 
 def search_offset(run: Run[Scale], seed: int = 0, defended: bool = False) -> None:
@@ -54,7 +72,7 @@ def search_offset(run: Run[Scale], seed: int = 0, defended: bool = False) -> Non
     def measure(offsets: Tensor, numbers: range) -> Tensor:
         episodes = episode_seeds.seeds("search", numbers.stop)[numbers.start :]
         attack = OffsetAttack(offsets.repeat_interleave(len(episodes), 0), run.budget)
-        return _left(run, victim, attack, len(offsets), episodes, defense)
+        return _left(victim, run.task, attack, len(offsets), episodes, run.scale.horizon, defense)
 
     name, known = ("defended-offset", dict(defense=MAIN)) if defended else ("offset", {})
     folder = run.folder / "checkpoints" / name
@@ -63,11 +81,11 @@ def search_offset(run: Run[Scale], seed: int = 0, defended: bool = False) -> Non
 
 
 def _left(
-    run: Run[Scale], victim: Victim, attack: Attack, n: int, seeds: range, defense: Defense | None = None
+    victim: Victim, task: Task, attack: Attack, n: int, seeds: range, steps: int | None, defense: Defense | None = None
 ) -> Tensor:
     """The mean return against each of n candidates, ``[n]``, which all play the same episodes.
 
     The attack has a row for each episode of the first candidate, then of the second, and so on.
     """
-    played = rollout(victim, run.task, [*seeds] * n, attack=attack, defense=defense, steps=run.scale.horizon)
+    played = rollout(victim, task, [*seeds] * n, attack=attack, defense=defense, steps=steps)
     return torch.from_numpy(played.returns.reshape(n, len(seeds)).mean(1))
