@@ -64,15 +64,17 @@ class Dynamics(Standardized):
             state: ``[..., state_dim]``.
             action: what is done in it, ``[..., action_dim]``.
         """
-        hidden = self._hidden(state, action)
-        moved = self._answer(0, hidden, state)
-        if self.state_dim == self.obs_dim:
-            return moved, (hidden[..., :0], hidden[..., :0])
-        return moved, self._answer(1, hidden, self.obs_mean[self.state_dim :])
+        return self.next_state(state, action), self.sensors(state, action)
 
     def next_state(self, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         """The first half of ``forward``."""
         return self._answer(0, self._hidden(state, action), state)
+
+    def sensors(self, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+        """The second half of ``forward``; empty where the state is all that is observed."""
+        if self.state_dim == self.obs_dim:
+            return state[..., :0], state[..., :0]
+        return self._answer(1, self._hidden(state, action), self.obs_mean[self.state_dim :])
 
     def _hidden(self, state: Tensor, action: Tensor) -> Tensor:
         scaled = (state - self.obs_mean[: self.state_dim]) / self.obs_std[: self.state_dim]

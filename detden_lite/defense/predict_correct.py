@@ -96,6 +96,9 @@ class PredictCorrect:
         ball = torch.as_tensor(budget.epsilon * budget.scale, dtype=torch.float64).expand(self.obs_dim)
         self.ball, self.sensor_ball = ball.tensor_split([self.state_dim])
         self.identity = torch.eye(self.state_dim, dtype=torch.float64)
+        self.rows = torch.cat(  # of x_t and x_{t-1}: by how much the perturbation changed, and where the state is
+            [torch.cat([self.identity, -self.identity], 1), torch.cat([self.identity, 0 * self.identity], 1)]
+        )
 
     def reset(self, episodes: Sequence[int]) -> None:
         """Begin new episodes."""
@@ -139,8 +142,8 @@ class PredictCorrect:
         """Weigh both explanations of an observation ``[N, obs_dim]``; the memory stays as it is."""
         shown, sensors = obs.double().tensor_split([self.state_dim], 1)
         x = (prediction.mean - shown) / self.ball  # the state, as seen from the observation: minus the perturbation
-        (a, cov_a), (b, cov_b, held) = self._clean(x, prediction.covariance), self._attacked(x, prediction)
-        a, b, perturbed = a.clamp(-1, 1), b.clamp(-1, 1), torch.sigmoid(self._log_odds(x, prediction.covariance))
+        (a, cov_a, exact), (b, cov_b, held) = self._clean(x, prediction.covariance), self._attacked(x, prediction)
+        a, b, perturbed = a.clamp(-1, 1), b.clamp(-1, 1), torch.sigmoid(_log_anywhere(x, prediction.covariance) - exact)
         apart, w = b - a, perturbed[:, None]
         x = a + w * apart
         spread = (w * (1 - w))[..., None] * apart[:, :, None] * apart[:, None]
@@ -169,7 +172,7 @@ class PredictCorrect:
         cross = 0.5 * (change[:, :d] - change[:, d:]).mT @ root
         start, spread = self.dynamics.first_mean.double(), self.dynamics.first_std.double()
         at_start = torch.diag((spread[:d] / self.ball).square() + EXACT**2)
-        sensors, sensor_std = (part.double() for part in self.dynamics(self.estimate.float(), action)[1])
+        sensors, sensor_std = (part.double() for part in self.dynamics.sensors(self.estimate.float(), action))
         return Prediction(
             torch.where(begins, start[:d], moved[:, 0]),
             torch.where(begins[..., None], at_start, 0.5 * change.mT @ change + noise),
@@ -180,12 +183,18 @@ class PredictCorrect:
             self.held,
         )
 
-    def _clean(self, x: Tensor, covariance: Tensor) -> Moments:
-        """The state if the observation is exact: a Kalman filter's update."""
+    def _clean(self, x: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The state if the observation is exact: a Kalman filter's update.
+
+        Returns:
+            Its mean and covariance, and the log density of the observation.
+        """
         root = torch.linalg.cholesky(covariance + EXACT**2 * self.identity)
         gain = torch.linalg.solve_triangular(root, covariance, upper=False)
         innovation = torch.linalg.solve_triangular(root, -x[..., None], upper=False)
-        return x + (gain.mT @ innovation)[..., 0], covariance - gain.mT @ gain
+        whitened = innovation[..., 0]
+        density = log_student(whitened, torch.ones_like(whitened)) - root.diagonal(dim1=1, dim2=2).log()
+        return x + (gain.mT @ innovation)[..., 0], covariance - gain.mT @ gain, density.sum(1)
 
     def _attacked(self, x: Tensor, prediction: Prediction) -> tuple[Tensor, Tensor, Tensor]:
         """The state if each number is perturbed: by what it was perturbed before, or by anything in the ball.
@@ -197,8 +206,6 @@ class PredictCorrect:
         outside = (x.abs() - 1).clamp(min=0) / covariance.diagonal(dim1=1, dim2=2).sqrt()
         doubt = (outside.amax(1) / SURPRISE).clamp(min=1).square()[:, None, None]
         joint = torch.cat([torch.cat([covariance, cross], 2), torch.cat([cross.mT, past], 2)], 1) * doubt
-        stays = torch.cat([self.identity, -self.identity], 1)
-        inside = torch.cat([self.identity, torch.zeros_like(self.identity)], 1)
         found: list[Tensor] = []
 
         def tilted(cavity: Moments) -> Moments:
@@ -213,21 +220,17 @@ class PredictCorrect:
             variance = (1 - w) * change_var + w * EXACT**2 + w * (1 - w) * change.square()
             return torch.cat([(1 - w) * change, box[0]], 1), torch.cat([variance, box[1]], 1)
 
-        mean, joint = condition(torch.cat([x, -prediction.delta], 1), joint, torch.cat([stays, inside]), tilted)
+        mean, joint = condition(torch.cat([x, -prediction.delta], 1), joint, self.rows, tilted)
         telling = (0.5 / (0.5 + found[1].sqrt())).square()  # a number that is hardly known tells nothing
         share = (found[0] * telling).sum(1) / telling.sum(1)
         held = (1 - MEMORY) * prediction.held + MEMORY * share
         return mean[:, :d], joint[:, :d, :d], held.clamp(*HELD)
 
-    def _log_odds(self, x: Tensor, covariance: Tensor) -> Tensor:
-        """Log odds of a perturbation ``[N]``: how likely is the observation with it, and without?"""
-        std = covariance.diagonal(dim1=1, dim2=2).sqrt()
-        outside = (x.abs() - 1).clamp(min=0) / std
-        perturbed = (-math.log(2) - 0.5 * (DOF + 1) * torch.log1p(outside.square() / DOF)).sum(1)
-        root = torch.linalg.cholesky(covariance + EXACT**2 * self.identity)
-        whitened = torch.linalg.solve_triangular(root, x[..., None], upper=False)[..., 0]
-        exact = log_student(whitened, torch.ones_like(whitened)) - root.diagonal(dim1=1, dim2=2).log()
-        return perturbed - exact.sum(1)
+
+def _log_anywhere(x: Tensor, covariance: Tensor) -> Tensor:
+    """Log density of an observation that may be anywhere in the ball around the state, ``[N]``."""
+    outside = (x.abs() - 1).clamp(min=0) / covariance.diagonal(dim1=1, dim2=2).sqrt()
+    return (-math.log(2) - 0.5 * (DOF + 1) * torch.log1p(outside.square() / DOF)).sum(1)
 
 
 class Surprise:
