@@ -39,17 +39,24 @@ class Visit:
     problems: list[str] = field(default_factory=list)
 
 
-@pytest.fixture(scope="session")
-def site():
-    """The address of the built book, served on the loopback interface."""
+@contextmanager
+def served(folder: Path) -> Iterator[str]:
+    """The address of a folder of pages, served on the loopback interface."""
     from serve import make_server
 
-    if not (HTML / "index.html").exists():
-        _missing("the book is not built: make book SERVE=0")
-    with make_server(HTML) as server:
+    with make_server(folder) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         yield f"http://127.0.0.1:{server.server_port}"
         server.shutdown()
+
+
+@pytest.fixture(scope="session")
+def site():
+    """The address of the built book."""
+    if not (HTML / "index.html").exists():
+        _missing("the book is not built: make book SERVE=0")
+    with served(HTML) as address:
+        yield address
 
 
 @pytest.fixture(scope="session")

@@ -61,13 +61,14 @@ def trained() -> str:
     attacks = dict(zip(variants.PARTS, ("opposite", "opposite and Q-function"), strict=True))
     rows = []
     for name, variant in VARIANTS.items():
-        settings = ", ".join(f"`{key}={value}`" for key, value in variant.recipe.items())
+        changed = ", ".join(f"`{key}={value}`" for key, value in variant.recipe.items())
         noise = DATASETS[variant.data]
         exploration = EXPLORATION[variant.data].format(most=max(noise.noise), memory=max(noise.memory))
         attacked = attacks[variant.adversarial[-1]] if variant.adversarial else "none"
-        denoiser = "a model of the motion and a filter, no GRU-VAE" if variant.predicts else settings
+        gruvae = changed or "as printed in the paper"
+        denoiser = "a model of the motion and a filter, no GRU-VAE" if variant.predicts else gruvae
         shown = f"**{name}** (the main one)" if name == MAIN else f"*{name}*"
-        rows.append((shown, exploration, attacked, denoiser or "as printed in the paper"))
+        rows.append((shown, exploration, attacked, denoiser))
     return _table(("name", "noise on the actions in $D_{normal}$", "attacks in $D_{adv}$", "denoiser"), rows)
 
 

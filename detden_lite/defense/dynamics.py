@@ -64,7 +64,8 @@ class Dynamics(Standardized):
             state: ``[..., state_dim]``.
             action: what is done in it, ``[..., action_dim]``.
         """
-        return self.next_state(state, action), self.sensors(state, action)
+        hidden = self._hidden(state, action)
+        return self._answer(0, hidden, state), self._sensed(hidden)
 
     def next_state(self, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         """The first half of ``forward``."""
@@ -72,13 +73,16 @@ class Dynamics(Standardized):
 
     def sensors(self, state: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         """The second half of ``forward``; empty where the state is all that is observed."""
-        if self.state_dim == self.obs_dim:
-            return state[..., :0], state[..., :0]
-        return self._answer(1, self._hidden(state, action), self.obs_mean[self.state_dim :])
+        return self._sensed(self._hidden(state, action))
 
     def _hidden(self, state: Tensor, action: Tensor) -> Tensor:
         scaled = (state - self.obs_mean[: self.state_dim]) / self.obs_std[: self.state_dim]
         return self.trunk(torch.cat([scaled, action], -1))
+
+    def _sensed(self, hidden: Tensor) -> tuple[Tensor, Tensor]:
+        if self.state_dim == self.obs_dim:
+            return hidden[..., :0], hidden[..., :0]
+        return self._answer(1, hidden, self.obs_mean[self.state_dim :])
 
     def _answer(self, head: int, hidden: Tensor, origin: Tensor) -> tuple[Tensor, Tensor]:
         mean, log_std = self.heads[head](hidden).chunk(2, -1)

@@ -3,13 +3,13 @@
 import io
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rerun as rr
 import rerun.blueprint as rrb
+from conftest import served
 from PIL import Image
 
 TOOLS = Path(__file__).resolve().parents[2] / "book" / "tools"
@@ -69,12 +69,8 @@ def book(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def address(book):
-    from serve import make_server
-
-    with make_server(book) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        yield f"http://127.0.0.1:{server.server_port}/"
-        server.shutdown()
+    with served(book) as site:
+        yield f"{site}/"
 
 
 @pytest.fixture

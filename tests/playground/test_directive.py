@@ -2,11 +2,10 @@
 
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import pytest
-from conftest import PLAYGROUND, ROOT, _missing
+from conftest import PLAYGROUND, ROOT, _missing, served
 from PIL import Image
 
 PAGE = """# A page
@@ -46,12 +45,8 @@ def book(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def address(book):
-    from serve import make_server
-
-    with make_server(book) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        yield f"http://127.0.0.1:{server.server_port}/chapters/page.html"
-        server.shutdown()
+    with served(book) as site:
+        yield f"{site}/chapters/page.html"
 
 
 @pytest.fixture
